@@ -1,0 +1,39 @@
+"""One exception family. Each message says what is wrong, where, and what to do about it."""
+
+from __future__ import annotations
+
+
+class HnfError(Exception):
+    """A problem that a person can act on.
+
+    what: the problem, one sentence. where: the object, stroke or file. remedy: the next step.
+    """
+
+    def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:
+        self.what, self.where, self.remedy = what, where, remedy
+        head = f"{where}: {what}" if where else what
+        super().__init__(f"{head} {remedy}" if remedy else head)
+
+
+class UsageError(HnfError):
+    """The command line or a call's arguments do not fit together (exit code 2)."""
+
+
+class FileError(HnfError):
+    """A file is missing, damaged, of the wrong kind, or cannot be written."""
+
+
+class SceneError(HnfError):
+    """The scene, or an object in it, cannot be touched as it is."""
+
+
+class StrokeError(HnfError):
+    """A stroke's curve, keyframes or contact cannot be used."""
+
+
+class MaterialError(HnfError):
+    """A material is unknown, or its description cannot be used."""
+
+
+class WeightsError(HnfError):
+    """Weights are damaged, or belong to another encoder or architecture."""

@@ -1,0 +1,38 @@
+"""What a picture does not show: stiffness, damping and friction of a material, and the probe that touches it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """Contact properties; None = unknown (the field was trained with unknowns dropped at random).
+
+    stiffness_n_m: contact stiffness at 1 N under the pen probe. damping_ratio: of the contact oscillator.
+    friction: Coulomb μ.
+    """
+
+    stiffness_n_m: float | None = None
+    damping_ratio: float | None = None
+    friction: float | None = None
+
+
+UNKNOWN = Mechanics()
+
+
+@dataclass(frozen=True)
+class Probe:
+    """What touches the surface. mass_kg: moving mass at the tip. tip_radius_m: radius of curvature.
+    stiffness_n_m: the probe's own compliance, in series with the surface's."""
+
+    name: str
+    mass_kg: float
+    tip_radius_m: float
+    stiffness_n_m: float
+
+
+PROBES = {
+    "pen": Probe("pen", mass_kg=0.035, tip_radius_m=0.8e-3, stiffness_n_m=4.0e5),
+    "finger": Probe("finger", mass_kg=0.006, tip_radius_m=8.0e-3, stiffness_n_m=1.2e3),
+}

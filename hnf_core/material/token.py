@@ -1,0 +1,48 @@
+"""The material token's layout: what E writes, and what the field reads.
+
+Seven octave bands of surface wavelength. In each band, of the height spectrum P(κ, θ), θ the angle of the wave
+vector in the tangent frame (a grating that varies along +x has θ = 0):
+
+level      log10 of the band's RMS height in metres
+cos2 sin2  Σ P cos 2θ / Σ P, Σ P sin 2θ / Σ P      two-fold anisotropy (wood grain, brushed metal)
+cos4 sin4  the same with 4θ                         four-fold anisotropy (plain weave, knurl)
+peak       share of the band's power in its strongest peak and its mirror image: 0 noise … 1 a pure grating
+offset     log2(κ_peak / κ_band), −0.5 … 0.5         where that peak lies inside the band
+
+and two statistics of the resolved height field: skewness (pits below 0, grains above) and log10 kurtosis / 3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+BAND_WAVELENGTHS_M = np.array([8e-3, 4e-3, 2e-3, 1e-3, 0.5e-3, 0.25e-3, 0.125e-3])
+"""Centres; each band spans half an octave to either side."""
+
+BAND_FEATURES = ("level", "cos2", "sin2", "cos4", "sin4", "peak", "offset")
+SHAPE_FEATURES = ("skewness", "log_kurtosis")
+TOKEN_NAMES = tuple(
+    f"{feature}@{wavelength * 1e3:g}mm" for wavelength in BAND_WAVELENGTHS_M for feature in BAND_FEATURES
+) + SHAPE_FEATURES
+TOKEN_DIM = len(TOKEN_NAMES)
+SMOOTH_LEVEL = -9.0
+"""Level of a band with nothing in it (1 nm RMS): the floor, so that log10 stays finite."""
+ENCODER_ID = "band-descriptor-1"
+"""Identity of E; weights name it and are refused with any other."""
+
+
+@dataclass(frozen=True)
+class Token:
+    """m = E(I). values: (TOKEN_DIM,) float32. known: (TOKEN_DIM,) bool, False where the map resolved nothing
+    (there values hold the smooth floor and the prior route fills in)."""
+
+    values: NDArray[np.float32]
+    known: NDArray[np.bool_]
+
+
+def band_slice(band: int) -> slice:
+    """Where band's features stand in a token."""
+    return slice(band * len(BAND_FEATURES), (band + 1) * len(BAND_FEATURES))

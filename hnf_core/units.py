@@ -1,0 +1,44 @@
+"""Every unit conversion of the project. Inside: m, s, N, m/s², Hz, rad. mm/s and g live at the edges."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+STANDARD_GRAVITY = 9.80665
+"""m/s² in one g."""
+
+
+def mm_to_m(value: float) -> float:
+    return value * 1e-3
+
+
+def m_to_mm(value: float) -> float:
+    return value * 1e3
+
+
+def g_to_m_s2(value: float) -> float:
+    return value * STANDARD_GRAVITY
+
+
+def m_s2_to_g(value: float) -> float:
+    return value / STANDARD_GRAVITY
+
+
+def power_to_db(power: ArrayLike) -> NDArray[np.float64]:
+    """10 log10 of a power ratio; zero power gives -inf without a warning."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(10.0 * np.log10(np.asarray(power, dtype=np.float64)))
+
+
+def db_to_power(db: ArrayLike) -> NDArray[np.float64]:
+    return np.asarray(10.0 ** (np.asarray(db, dtype=np.float64) / 10.0))
+
+
+def frame_to_seconds(frame: float, start: float, fps: float, fps_base: float) -> float:
+    """Time of a (fractional) frame after the stroke's start frame, as Blender counts it."""
+    return (frame - start) * fps_base / fps
+
+
+def seconds_to_frame(seconds: float, start: float, fps: float, fps_base: float) -> float:
+    return start + seconds * fps / fps_base
