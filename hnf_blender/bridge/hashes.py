@@ -1,0 +1,132 @@
+"""Content hashes of shaders: equal hash, equal close-up. Names, layout and selection do not count."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from hnf_core.files import content_hash
+
+COSMETIC = frozenset({
+    "name", "label", "location", "location_absolute", "width", "height", "select", "color", "use_custom_color",
+    "show_options", "show_preview", "show_texture", "hide", "parent", "dimensions", "is_active_output", "rna_type",
+    "bl_idname", "warning_propagation", "color_tag", "is_active_preview",
+})  # fmt: skip
+"""Node properties that say how a node looks in the editor, not what it computes."""
+
+
+def material_hash(material: Any) -> str:
+    """Hash of everything a material's node tree computes, images' pixels included; "" for no material.
+
+    What feeds only the viewport (preview, pass index, line art) does not count.
+    """
+    if material is None:
+        return ""
+    if material.node_tree is None or not material.use_nodes:
+        plain = (material.diffuse_color, material.roughness, material.metallic)
+        return content_hash("plain", repr([list(plain[0]), plain[1], plain[2]]))
+    method = getattr(material, "displacement_method", "")
+    return content_hash("nodes", method, *_tree_parts(material.node_tree, set()))
+
+
+def image_hash(image: Any) -> str:
+    """Hash of an image's pixels as stored: packed bytes, files (all tiles of a UDIM), or generated settings."""
+    if image is None:
+        return ""
+    settings = (image.colorspace_settings.name, image.alpha_mode, image.source)
+    if image.is_dirty:  # painted but not saved: the pixels in memory are the truth
+        return content_hash(repr(settings), _pixels(image))
+    if image.packed_files:
+        return content_hash(repr(settings), *(bytes(packed.data) for packed in image.packed_files))
+    if image.source == "GENERATED":
+        shape = (image.generated_type, list(image.generated_color), list(image.size))
+        return content_hash(repr(settings), repr(shape))
+    files = list(_image_files(image))
+    return content_hash(repr(settings), *(path.read_bytes() for path in files if path.is_file()))
+
+
+def _pixels(image: Any) -> bytes:
+    import numpy as np
+
+    pixels = np.empty(len(image.pixels), dtype=np.float32)
+    image.pixels.foreach_get(pixels)
+    return pixels.tobytes()
+
+
+def _image_files(image: Any) -> Iterator[Path]:
+    import bpy
+
+    path = bpy.path.abspath(image.filepath, library=image.library)
+    if image.source == "TILED":
+        for tile in image.tiles:
+            yield Path(path.replace("<UDIM>", str(tile.number)))
+    else:
+        yield Path(path)
+
+
+def _tree_parts(tree: Any, seen: set[str]) -> Iterator[str]:
+    """Nodes in the order of their names (names give links their ends), then links."""
+    if tree.name_full in seen:
+        return
+    seen.add(tree.name_full)
+    if tree.animation_data is not None and tree.animation_data.drivers:
+        yield repr([(driver.data_path, driver.driver.expression) for driver in tree.animation_data.drivers])
+    for node in sorted(tree.nodes, key=lambda node: node.name):
+        if node.bl_idname in {"NodeFrame", "NodeReroute"} and node.bl_idname == "NodeFrame":
+            continue
+        yield node.name
+        yield node.bl_idname
+        yield repr(sorted(_simple_properties(node)))
+        yield repr([_socket_value(socket) for socket in node.inputs])
+        if node.bl_idname.startswith(("ShaderNodeValue", "ShaderNodeRGB")):
+            yield repr([_socket_value(socket) for socket in node.outputs])
+        yield from _special_parts(node, seen)
+    for link in sorted(
+        f"{link.from_node.name}|{link.from_socket.identifier}|{link.to_node.name}|{link.to_socket.identifier}"
+        for link in tree.links
+        if not link.is_muted
+    ):
+        yield link
+
+
+def _simple_properties(node: Any) -> Iterator[tuple[str, str]]:
+    for prop in node.bl_rna.properties:
+        if prop.identifier in COSMETIC or prop.type in {"POINTER", "COLLECTION"}:
+            continue
+        if prop.is_readonly and prop.identifier != "mute":
+            continue
+        value = getattr(node, prop.identifier)
+        yield prop.identifier, repr(list(value) if getattr(prop, "is_array", False) else value)
+
+
+def _socket_value(socket: Any) -> object:
+    value = getattr(socket, "default_value", None)
+    if value is None or isinstance(value, (int, float, str, bool)):
+        return value
+    try:
+        return [float(part) for part in value]
+    except TypeError:  # an object, image or collection socket
+        return getattr(value, "name_full", repr(value))
+
+
+def _special_parts(node: Any, seen: set[str]) -> Iterator[str]:
+    image = getattr(node, "image", None)
+    if image is not None:
+        yield image_hash(image)
+    ramp = getattr(node, "color_ramp", None)
+    if ramp is not None:
+        yield repr((ramp.interpolation, ramp.color_mode, [(e.position, list(e.color)) for e in ramp.elements]))
+    mapping = getattr(node, "mapping", None)
+    if hasattr(mapping, "curves"):
+        yield repr([[list(point.location) for point in curve.points] for curve in mapping.curves])
+    texture = getattr(node, "texture_mapping", None)
+    if texture is not None:
+        yield repr([list(texture.translation), list(texture.rotation), list(texture.scale), texture.vector_type])
+    target = getattr(node, "object", None)
+    if target is not None:
+        yield repr([list(row) for row in target.matrix_world])
+    group = getattr(node, "node_tree", None)
+    if group is not None:
+        yield group.name_full
+        yield from _tree_parts(group, seen)

@@ -1,0 +1,108 @@
+"""report.json: what was made, what it cost, what was skipped, what failed, and why."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hnf_core.files import write_text
+
+SCHEMA = "hnf-touch-report-1"
+REPORT_NAME = "report.json"
+
+
+@dataclass(frozen=True)
+class StrokeReport:
+    """One delivered stroke. routes: band wavelength → route. key: hash of everything the signal follows from."""
+
+    name: str
+    object: str
+    material: str
+    library_material: str
+    routes: Mapping[str, str]
+    resolved_wavelength_m: float | None
+    height_source: str
+    height_peak_to_peak_m: float | None
+    wav: str
+    picture: str
+    duration_s: float
+    rms_m_s2: float
+    confidence: float
+    probe: str
+    seed: int
+    fresh: bool
+    key: str
+    wav_hash: str
+
+
+@dataclass(frozen=True)
+class Skipped:
+    what: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Failed:
+    stroke: str
+    why: str
+
+
+@dataclass
+class Counts:
+    """Work done, not time: renders of any kind, rays and nearest-point queries, F_Θ calls, tokens encoded."""
+
+    renders: int = 0
+    rays: int = 0
+    network_calls: int = 0
+    tokens: int = 0
+
+
+@dataclass
+class Report:
+    """Grows during a run; written after every stroke, so that a stopped run leaves a true account."""
+
+    scene: str
+    strokes: list[StrokeReport] = field(default_factory=list)
+    counts: Counts = field(default_factory=Counts)
+    timings: dict[str, float] = field(default_factory=dict)
+    skipped: list[Skipped] = field(default_factory=list)
+    failed: list[Failed] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    baked_blend: str = ""
+
+    def warn(self, text: str) -> None:
+        if text not in self.warnings:
+            self.warnings.append(text)
+
+    def as_json(self) -> str:
+        record = {"schema": SCHEMA, **asdict(self)}
+        return json.dumps(_finite(record), indent=1, ensure_ascii=False) + "\n"
+
+    def write(self, folder: Path) -> None:
+        write_text(folder / REPORT_NAME, self.as_json())
+
+
+def earlier_strokes(folder: Path) -> dict[str, StrokeReport]:
+    """Strokes of an earlier run in folder by key; empty where there is none or its report cannot be read."""
+    try:
+        record = json.loads((folder / REPORT_NAME).read_text(encoding="utf-8"))
+        if record["schema"] != SCHEMA:
+            return {}
+        return {entry["key"]: StrokeReport(**entry) for entry in record["strokes"]}
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no inf and no NaN: they become null."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, dict):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(entry) for entry in value]
+    return value

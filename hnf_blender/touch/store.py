@@ -1,0 +1,96 @@
+"""Baked patches on disk, named by the content they were made from, so that nothing stale can be found."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from hnf_core.files import write_atomically
+from hnf_core.material.material import Appearance
+from numpy.typing import NDArray
+
+STORE_VERSION = 1
+
+
+@dataclass(frozen=True)
+class PatchRecord:
+    """What the close-up of one patch gave.
+
+    height: (H, W) float32 metres, or None where the shader has no micro-geometry. mask: (H, W) bool.
+    metres_per_pixel: m. resolved_wavelength_m: inf where nothing is resolved. height_source: for the report.
+    token, known: E of the tactile map, or None. appearance: shading values averaged over the patch.
+    faces: (k,) int32 faces of the object's own mesh that the patch covers. notes: warnings for the artist.
+    """
+
+    height: NDArray[np.float32] | None
+    mask: NDArray[np.bool_]
+    metres_per_pixel: float
+    resolved_wavelength_m: float
+    height_source: str
+    token: NDArray[np.float32] | None
+    known: NDArray[np.bool_] | None
+    appearance: Appearance
+    faces: NDArray[np.int32]
+    notes: tuple[str, ...]
+
+
+def load_patch(folder: Path, key: str) -> PatchRecord | None:
+    """The record stored under key, or None. A damaged file counts as absent: it is baked anew."""
+    try:
+        with np.load(folder / f"{key}.npz", allow_pickle=False) as data:
+            if int(data["version"]) != STORE_VERSION:
+                return None
+            measured = bool(data["measured"])
+            return PatchRecord(
+                height=data["height"] if measured else None,
+                mask=data["mask"],
+                metres_per_pixel=float(data["metres_per_pixel"]),
+                resolved_wavelength_m=float(data["resolved_wavelength_m"]),
+                height_source=str(data["height_source"]),
+                token=data["token"] if measured else None,
+                known=data["known"] if measured else None,
+                appearance=_appearance_from(data["appearance"]),
+                faces=data["faces"],
+                notes=tuple(str(note) for note in data["notes"]),
+            )
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def save_patch(folder: Path, key: str, record: PatchRecord) -> None:
+    empty = np.zeros(0, dtype=np.float32)
+    arrays = {
+        "version": np.array(STORE_VERSION),
+        "measured": np.array(record.height is not None),
+        "height": empty if record.height is None else record.height,
+        "mask": record.mask,
+        "metres_per_pixel": np.array(record.metres_per_pixel),
+        "resolved_wavelength_m": np.array(record.resolved_wavelength_m),
+        "height_source": np.array(record.height_source),
+        "token": empty if record.token is None else record.token,
+        "known": empty.astype(bool) if record.known is None else record.known,
+        "appearance": _appearance_row(record.appearance),
+        "faces": record.faces,
+        "notes": np.array(record.notes, dtype=np.str_),
+    }
+
+    def write(path: Path) -> None:
+        with path.open("wb") as stream:
+            np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
+
+    write_atomically(folder / f"{key}.npz", write)
+
+
+def _appearance_row(appearance: Appearance) -> NDArray[np.float64]:
+    colour = appearance.base_color or (np.nan,) * 3
+    rest = (appearance.roughness, appearance.metallic, appearance.sheen, appearance.transmission)
+    return np.array([*colour, *(np.nan if value is None else value for value in rest)])
+
+
+def _appearance_from(row: NDArray[np.float64]) -> Appearance:
+    values = [None if np.isnan(value) else float(value) for value in row]
+    red, green, blue = values[:3]
+    colour = None if red is None or green is None or blue is None else (red, green, blue)
+    return Appearance(colour, *values[3:])

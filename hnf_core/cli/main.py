@@ -1,0 +1,47 @@
+"""The words of the command line: one parser for `hnf VERB` and `blender -b FILE --command hnf VERB`.
+
+Exit codes: 0 done, 1 failed (one clear line on stderr), 2 wrong usage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+
+from .. import __version__
+from ..errors import HnfError, UsageError
+from . import materials, synth, touch
+
+Runner = Callable[[argparse.Namespace], int]
+
+
+def build_parser(run_touch: Runner) -> argparse.ArgumentParser:
+    """The whole command line. run_touch does the Blender part, which this package may not know."""
+    parser = argparse.ArgumentParser(
+        prog="hnf", description="Haptic Neural Fields: strokes on 3-D scenes become vibrotactile acceleration."
+    )
+    parser.add_argument("--version", action="version", version=f"hnf {__version__}")
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    touch.add_parser(verbs).set_defaults(run=run_touch)
+    synth.add_parser(verbs).set_defaults(run=synth.run)
+    materials.add_parser(verbs).set_defaults(run=materials.run)
+    return parser
+
+
+def main(argv: Sequence[str], run_touch: Runner) -> int:
+    """Parse argv (without the program's name), run the verb, and turn every outcome into an exit code."""
+    try:
+        arguments = build_parser(run_touch).parse_args(list(argv))
+        return int(arguments.run(arguments))
+    except SystemExit as stop:  # argparse's own way out: --help gives 0, wrong words give 2
+        return stop.code if isinstance(stop.code, int) else 2
+    except UsageError as error:
+        print(f"hnf: {error}", file=sys.stderr)
+        return 2
+    except HnfError as error:
+        print(f"hnf: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("hnf: stopped. What was finished before is kept.", file=sys.stderr)
+        return 1

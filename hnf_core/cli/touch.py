@@ -1,0 +1,104 @@
+"""`hnf touch`: the words of the main job. What they do stands in hnf_blender.touch."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..action.primitives import PRIMITIVES
+from ..errors import UsageError
+
+
+@dataclass(frozen=True)
+class Placement:
+    """A primitive to be placed: --stroke PRIMITIVE --on OBJECT[:SLOT]."""
+
+    primitive: str
+    target: str
+
+
+@dataclass(frozen=True)
+class MaterialChoice:
+    """The artist's own choice: --material OBJECT[:SLOT]=NAME."""
+
+    target: str
+    material: str
+
+
+@dataclass(frozen=True)
+class TouchRequest:
+    """What a run of `touch` was asked for.
+
+    scene: file to open, or None for the file already open in Blender. metres_per_unit: None = the scene's own.
+    seed: None = each stroke's own. plan_only: print the plan and stop.
+    """
+
+    scene: Path | None
+    out: Path
+    placements: tuple[Placement, ...] = ()
+    choices: tuple[MaterialChoice, ...] = ()
+    metres_per_unit: float | None = None
+    seed: int | None = None
+    plan_only: bool = False
+    as_json: bool = False
+
+
+def add_parser(verbs: Any) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = verbs.add_parser(
+        "touch",
+        help="bake a scene and write what each stroke feels like as WAV files",
+        description="Open SCENE (.blend .gltf .glb .obj .ply .usd .fbx), find or place strokes, and write one WAV and "
+        "one picture per stroke, the baked .blend and report.json to DIR. With no stroke in the scene or on the "
+        "command line, one default stroke is placed on every touchable material.",
+    )
+    parser.add_argument("scene", nargs="?", type=Path, metavar="SCENE", help="scene file; default: the open file")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
+    parser.add_argument(
+        "--stroke", action="append", default=[], metavar="PRIMITIVE", choices=sorted(PRIMITIVES), dest="strokes",
+        help=f"place a stroke: {', '.join(PRIMITIVES)}; needs --on",
+    )  # fmt: skip
+    parser.add_argument(
+        "--on", action="append", default=[], metavar="OBJECT[:SLOT]", dest="targets",
+        help="where to place the stroke named before it; SLOT is a material's name or its number from 0",
+    )  # fmt: skip
+    parser.add_argument(
+        "--material", action="append", default=[], metavar="OBJECT[:SLOT]=NAME", dest="materials",
+        help="use this library material there (see: hnf materials)",
+    )  # fmt: skip
+    parser.add_argument("--scale", type=float, metavar="METRES_PER_UNIT", help="length of one scene unit in metres")
+    parser.add_argument("--seed", type=int, metavar="N", help="seed of all strokes; default: each stroke's own")
+    parser.add_argument("--plan", action="store_true", help="say what would be done, skipped and why; do nothing")
+    parser.add_argument("--json", action="store_true", help="print the report (or the plan) as JSON")
+    return parser
+
+
+def request_from(arguments: argparse.Namespace) -> TouchRequest:
+    """Parsed words → request. Raises UsageError where they do not fit together."""
+    if len(arguments.strokes) != len(arguments.targets):
+        raise UsageError(
+            f"{len(arguments.strokes)} --stroke but {len(arguments.targets)} --on.",
+            remedy="Give each --stroke PRIMITIVE its own --on OBJECT[:SLOT].",
+        )
+    if arguments.scale is not None and not 0.0 < arguments.scale < float("inf"):
+        raise UsageError("--scale must be a positive number of metres per unit.", remedy="Example: --scale 0.01")
+    if arguments.seed is not None and not 0 <= arguments.seed < 2**63:
+        raise UsageError("--seed must be a whole number from 0 to 2^63 − 1.")
+    return TouchRequest(
+        scene=arguments.scene,
+        out=arguments.out,
+        placements=tuple(Placement(p, t) for p, t in zip(arguments.strokes, arguments.targets, strict=True)),
+        choices=tuple(_choice(text) for text in arguments.materials),
+        metres_per_unit=arguments.scale,
+        seed=arguments.seed,
+        plan_only=arguments.plan,
+        as_json=arguments.json,
+    )
+
+
+def _choice(text: str) -> MaterialChoice:
+    target, equals, material = text.rpartition("=")
+    if not equals or not target or not material:
+        raise UsageError(f"--material {text!r} is not OBJECT[:SLOT]=NAME.", remedy="Example: --material Cup=oak-wood")
+    return MaterialChoice(target, material)
