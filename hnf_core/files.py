@@ -16,6 +16,9 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
 
     Raises FileError when the folder or the disk refuses.
     """
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        _write_into_device(path, write)
+        return
     handle = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -28,6 +31,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
     temporary = Path(name)
     try:
         write(temporary)
+        temporary.chmod(path.stat().st_mode & 0o777 if path.is_file() else 0o644)
         with temporary.open("rb+") as stream:
             os.fsync(stream.fileno())
         os.replace(temporary, path)
@@ -39,6 +43,20 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
         ) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _write_into_device(path: Path, write: Callable[[Path], None]) -> None:
+    """A device or pipe keeps nothing to harm, and a rename would put a file in its place."""
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            temporary = Path(folder) / f"out{path.suffix}"
+            write(temporary)
+            with path.open("wb") as stream:
+                stream.write(temporary.read_bytes())
+    except OSError as error:
+        raise FileError(
+            f"could not be written ({error.strerror or error}).", where=str(path), remedy="Choose another output path."
+        ) from error
 
 
 def write_bytes(path: Path, data: bytes) -> None:

@@ -1,0 +1,210 @@
+"""WAV files in m/s²: float32 samples that are never normalised, with their origin in the file.
+
+Layout (Microsoft/IBM "Multimedia Programming Interface and Data Specifications 1.0", 1991, and the 1994 revision that
+adds the fact chunk to every non-PCM format): fmt (WAVE_FORMAT_IEEE_FLOAT), fact, LIST/INFO, data. INFO holds ISFT (the
+software), INAM (the stroke), ISBJ (the material) and ICMT, a JSON object
+
+    {"schema": 1, "units": "m/s^2", "scale": 1.0, "seed": 7, "provenance": {"stroke": …, "material": …, "probe": …, …}}
+
+A sample times scale is an acceleration in units.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import __version__
+from ..errors import FileError
+from ..files import write_bytes
+from ..signal import Signal
+
+UNITS = "m/s^2"
+SCHEMA = 1
+_PCM, _IEEE_FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
+_LARGEST = 2**32 - 1
+
+
+def write_wav(path: Path, signal: Signal) -> None:
+    """Write signal as a mono float32 WAV at its own rate, in m/s², atomically.
+
+    Raises FileError when a sample is not finite, the rate is not a whole number of Hz, the signal is longer than a
+    WAV can hold (4 GB), or the disk refuses; an earlier file at path is then unharmed.
+    """
+    write_bytes(Path(path), wav_bytes(signal, where=str(path)))
+
+
+def wav_bytes(signal: Signal, *, where: str = "WAV") -> bytes:
+    """The file that write_wav writes. Equal signals give equal bytes."""
+    with np.errstate(over="ignore"):
+        samples = np.asarray(signal.samples, dtype="<f4")
+    if samples.ndim != 1:
+        raise FileError(f"a signal is one-dimensional, this one has shape {samples.shape}.", where=where)
+    bad = int(np.count_nonzero(~np.isfinite(samples)))
+    if bad:
+        raise FileError(
+            f"{bad} of {len(samples)} samples are not finite, so nothing was written.",
+            where=where,
+            remedy="Check the stroke's keyframes and the material's values for NaN or infinity.",
+        )
+    rate = signal.sample_rate
+    if not (math.isfinite(rate) and rate == int(rate) and 1 <= rate <= _LARGEST // 4):
+        raise FileError(
+            f"a WAV needs a whole sample rate, not {rate:g} Hz.", where=where, remedy="Synthesise at e.g. 8000 Hz."
+        )
+    format_chunk = struct.pack("<HHIIHHH", _IEEE_FLOAT, 1, int(rate), int(rate) * 4, 4, 32, 0)
+    head = _chunk(b"fmt ", format_chunk) + _chunk(b"fact", struct.pack("<I", len(samples)))
+    head += _chunk(b"LIST", b"INFO" + b"".join(_chunk(tag, text) for tag, text in _info(signal)))
+    body = b"WAVE" + head + b"data" + struct.pack("<I", min(samples.nbytes, _LARGEST))
+    if len(body) + samples.nbytes > _LARGEST:
+        raise FileError(
+            f"{signal.duration_s:.0f} s at {rate:g} Hz is more than a WAV can hold (4 GB).",
+            where=where,
+            remedy="Split the stroke or lower the rate.",
+        )
+    return b"RIFF" + struct.pack("<I", len(body) + samples.nbytes) + body + samples.tobytes()
+
+
+def read_wav(path: Path) -> Signal:
+    """Read a mono WAV: this project's own (samples, rate, seed and provenance come back as they were written), or any
+    plain PCM (8, 16, 24, 32 bit) or float (32, 64 bit) file.
+
+    A file that does not state its unit gives PCM as −1…1 of full scale and float as stored, and says so in
+    provenance["units"]. Raises FileError where the file is missing, damaged, compressed, has several channels or
+    samples that are not finite.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise FileError(
+            f"cannot be read ({error.strerror or error}).", where=str(path), remedy="Check the file's path."
+        ) from error
+    if len(data) < 12 or data[:4] != b"RIFF" or data[8:12] != b"WAVE":
+        raise FileError("is not a RIFF/WAVE file.", where=str(path), remedy="Give a .wav file.")
+    form: bytes | None = None
+    content: bytes | None = None
+    info: dict[str, str] = {}
+    for tag, body in _chunks(data[12:], str(path)):
+        if tag == b"fmt " and form is None:
+            form = body
+        elif tag == b"data" and content is None:
+            content = body
+        elif tag == b"LIST" and body[:4] == b"INFO":
+            info = {name.decode("latin-1"): _text(text) for name, text in _chunks(body[4:], str(path))}
+    if form is None or content is None:
+        raise _damaged(path, "it has no " + ("fmt" if form is None else "data") + " chunk")
+    if len(form) < 16:
+        raise _damaged(path, "its fmt chunk is too short")
+    rate, samples = _decode(form, content, path)
+    record = _record(info.get("ICMT", ""))
+    seed, provenance = 0, {"units": "as stored", "source": path.name}
+    if record is not None:
+        seed, provenance = record.seed, record.provenance
+        if record.scale != 1.0:
+            samples = np.asarray(samples * record.scale, dtype=np.float32)
+    elif info.get("ICMT"):
+        provenance["comment"] = info["ICMT"]
+    if not np.isfinite(samples).all():
+        raise _damaged(path, "some samples are not finite")
+    return Signal(samples, float(rate), seed, provenance)
+
+
+def _info(signal: Signal) -> Iterator[tuple[bytes, bytes]]:
+    facts = {str(name): str(value) for name, value in signal.provenance.items()}
+    record = {"schema": SCHEMA, "units": UNITS, "scale": 1.0, "seed": int(signal.seed), "provenance": facts}
+    yield b"ISFT", _terminated(f"Haptic Neural Fields {__version__}")
+    for tag, name in ((b"INAM", "stroke"), (b"ISBJ", "material")):
+        if facts.get(name):
+            yield tag, _terminated(facts[name])
+    yield b"ICMT", _terminated(json.dumps(record))
+
+
+def _terminated(text: str) -> bytes:
+    return text.replace("\0", " ").encode("utf-8", "replace") + b"\0"
+
+
+def _text(data: bytes) -> str:
+    return data.split(b"\0", 1)[0].decode("utf-8", "replace")
+
+
+def _chunk(tag: bytes, body: bytes) -> bytes:
+    """A RIFF chunk; odd bodies are padded, and the size does not count the pad byte."""
+    return tag + struct.pack("<I", len(body)) + body + b"\0" * (len(body) % 2)
+
+
+def _chunks(data: bytes, where: str) -> Iterator[tuple[bytes, bytes]]:
+    """Tag and body of each chunk. Fewer than 8 trailing bytes are ignored, as most readers do."""
+    at = 0
+    while at + 8 <= len(data):
+        tag, size = data[at : at + 4], struct.unpack_from("<I", data, at + 4)[0]
+        body = data[at + 8 : at + 8 + size]
+        if len(body) < size:
+            raise _damaged(Path(where), f"chunk {tag!r} should hold {size} bytes and {len(body)} are there")
+        yield tag, body
+        at += 8 + size + size % 2
+
+
+def _decode(form: bytes, content: bytes, path: Path) -> tuple[int, NDArray[np.float32]]:
+    """Sample rate and samples."""
+    kind, channels, rate, _, block, bits = struct.unpack_from("<HHIIHH", form)
+    if kind == _EXTENSIBLE and len(form) >= 26:
+        kind = struct.unpack_from("<H", form, 24)[0]
+    if channels != 1:
+        raise FileError(
+            f"has {channels} channels, a vibration has one.", where=str(path), remedy="Export one channel as mono."
+        )
+    if rate == 0:
+        raise _damaged(path, "its sample rate is 0")
+    if kind not in (_PCM, _IEEE_FLOAT) or bits not in ((8, 16, 24, 32) if kind == _PCM else (32, 64)):
+        raise FileError(
+            f"has an encoding that cannot be read (format {kind}, {bits} bits).",
+            where=str(path),
+            remedy="Convert it to PCM or 32-bit float.",
+        )
+    if block != bits // 8 or len(content) % block:
+        raise _damaged(path, "its data does not divide into whole samples")
+    if kind == _IEEE_FLOAT:
+        with np.errstate(over="ignore"):
+            return rate, np.frombuffer(content, f"<f{block}").astype(np.float32)
+    if bits == 8:
+        values = np.frombuffer(content, np.uint8).astype(np.float64) - 128.0
+    elif bits == 24:
+        wide = np.zeros((len(content) // 3, 4), np.uint8)
+        wide[:, 1:] = np.frombuffer(content, np.uint8).reshape(-1, 3)
+        values = (wide.view("<i4")[:, 0] >> 8).astype(np.float64)
+    else:
+        values = np.frombuffer(content, f"<i{block}").astype(np.float64)
+    return rate, (values / 2.0 ** (bits - 1)).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class _Record:
+    """What this project wrote into ICMT."""
+
+    seed: int
+    scale: float
+    provenance: dict[str, str]
+
+
+def _record(comment: str) -> _Record | None:
+    """None for a comment that is not this project's."""
+    try:
+        record = json.loads(comment)
+        if record["units"] != UNITS or not isinstance(record["provenance"], dict):
+            return None
+        facts = {str(name): str(value) for name, value in record["provenance"].items()}
+        return _Record(int(record["seed"]), float(record["scale"]), facts)
+    except (ValueError, KeyError, TypeError, RecursionError, OverflowError):
+        return None
+
+
+def _damaged(path: Path, why: str) -> FileError:
+    return FileError(f"is damaged: {why}.", where=str(path), remedy="Export or download it again.")
