@@ -1,0 +1,142 @@
+"""Curves by arc length: length, and the point and tangent at a distance s along the curve, in float64."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import StrokeError
+from .bezier import PiecewiseBezier
+
+Float = NDArray[np.float64]
+Int = NDArray[np.intp]
+
+LENGTH_TOLERANCE = 1e-10
+"""Relative to the whole curve, per panel; four orders below the 1e-6 that strokes promise."""
+_MAX_DEPTH = 40
+
+
+def _gauss_rule(count: int) -> tuple[Float, Float]:
+    """Gauss-Legendre nodes and weights on [0, 1] (Golub and Welsch 1969)."""
+    k = np.arange(1.0, count)
+    off_diagonal = k / np.sqrt(4.0 * k * k - 1.0)
+    nodes, vectors = np.linalg.eigh(np.diag(off_diagonal, 1) + np.diag(off_diagonal, -1))
+    return (nodes + 1.0) / 2.0, vectors[0] ** 2
+
+
+_NODES, _WEIGHTS = _gauss_rule(12)
+
+
+@dataclass(frozen=True)
+class ArcCurve:
+    """A piecewise curve with its arc-length table.
+
+    Panels are pieces of segments short enough that one 12-point Gauss rule is exact to LENGTH_TOLERANCE.
+    segment, start, end: (P,) segment number and parameter range of each panel. station: (P + 1,) arc length at the
+    panels' borders; station[-1] is the length.
+    """
+
+    curve: PiecewiseBezier
+    segment: Int
+    start: Float
+    end: Float
+    station: Float
+
+    @property
+    def length(self) -> float:
+        return float(self.station[-1])
+
+    def point_at(self, s: ArrayLike) -> Float:
+        """Points (n, dim) at arc lengths s (n,), clamped to [0, length]."""
+        segment, u, _ = self._parameter(s)
+        return self.curve.evaluate(segment, u)[0]
+
+    def tangent_at(self, s: ArrayLike) -> Float:
+        """Unit tangents (n, dim) at arc lengths s (n,); at a corner the direction of travel after it.
+
+        Zero vectors where the curve has no length at all.
+        """
+        segment, u, panel = self._parameter(s)
+        if self.length == 0.0:
+            return np.zeros((len(u), self.curve.dimension))
+        derivative = self.curve.evaluate(segment, u)[1]
+        speed = np.linalg.norm(derivative, axis=1)
+        # A zero handle makes dC/du vanish at its knot; the tangent is the limit from inside the panel.
+        scale = (self.station[panel + 1] - self.station[panel]) / (self.end[panel] - self.start[panel])
+        still = speed < 1e-6 * scale
+        if np.any(still):
+            middle = (self.start[panel] + self.end[panel]) / 2.0
+            inside = u + 1e-4 * (middle - u)
+            derivative[still] = self.curve.evaluate(segment, inside)[1][still]
+            speed = np.linalg.norm(derivative, axis=1)
+        return np.asarray(derivative / np.where(speed > 0.0, speed, 1.0)[:, None])
+
+    def _parameter(self, s: ArrayLike) -> tuple[Int, Float, Int]:
+        """Segment, parameter and panel of arc lengths: Newton on the panel's own quadrature, kept in a bracket."""
+        target = np.clip(np.atleast_1d(np.asarray(s, dtype=np.float64)), 0.0, self.length)
+        panel = np.clip(np.searchsorted(self.station, target, side="right") - 1, 0, len(self.segment) - 1)
+        segment, low, high = self.segment[panel], self.start[panel], self.end[panel]
+        base = low
+        rest = target - self.station[panel]
+        span = self.station[panel + 1] - self.station[panel]
+        u = low + (high - low) * np.divide(rest, span, out=np.zeros_like(rest), where=span > 0.0)
+        for _ in range(60):
+            error = _arc_lengths(self.curve, segment, base, u) - rest
+            if np.all(np.abs(error) <= 1e-13 * self.station[-1]):
+                break
+            low, high = np.where(error < 0.0, u, low), np.where(error > 0.0, u, high)
+            speed = np.linalg.norm(self.curve.evaluate(segment, u)[1], axis=1)
+            step = u - np.divide(error, speed, out=np.full_like(u, np.inf), where=speed > 0.0)
+            u = np.where((step > low) & (step < high), step, (low + high) / 2.0)
+        return segment, u, panel
+
+
+def _arc_lengths(curve: PiecewiseBezier, segment: Int, start: Float, end: Float) -> Float:
+    """∫ |dC/du| du over [start, end] of each segment, one Gauss rule each."""
+    width = end - start
+    u = start[:, None] + width[:, None] * _NODES
+    derivative = curve.evaluate(np.repeat(segment, len(_NODES)), u.ravel())[1]
+    return np.asarray(width * (np.linalg.norm(derivative, axis=1).reshape(u.shape) @ _WEIGHTS))
+
+
+def by_arc_length(curve: PiecewiseBezier) -> ArcCurve:
+    """Table of a curve's arc length by adaptive bisection of its segments."""
+    segment = np.arange(curve.segment_count, dtype=np.intp)
+    start, end = np.zeros(len(segment)), np.ones(len(segment))
+    whole = _arc_lengths(curve, segment, start, end)
+    tolerance = LENGTH_TOLERANCE * max(float(whole.sum()), sys.float_info.min)
+    done: list[tuple[Int, Float, Float, Float]] = []
+    for depth in range(_MAX_DEPTH + 1):
+        middle = (start + end) / 2.0
+        first = _arc_lengths(curve, segment, start, middle)
+        second = _arc_lengths(curve, segment, middle, end)
+        fine = (np.abs(first + second - whole) <= tolerance) | (depth == _MAX_DEPTH)
+        done.append((segment[fine], start[fine], end[fine], (first + second)[fine]))
+        rough = ~fine
+        segment = np.concatenate([segment[rough], segment[rough]])
+        start, end = np.concatenate([start[rough], middle[rough]]), np.concatenate([middle[rough], end[rough]])
+        whole = np.concatenate([first[rough], second[rough]])
+        if len(segment) == 0:
+            break
+    segment, start, end, lengths = (np.concatenate(part) for part in zip(*done, strict=True))
+    order = np.lexsort((start, segment))
+    station = np.concatenate([[0.0], np.cumsum(lengths[order])])
+    return ArcCurve(curve, segment[order], start[order], end[order], station)
+
+
+def only_spline(splines: Sequence[PiecewiseBezier], *, where: str) -> PiecewiseBezier:
+    """The one spline of a stroke. Raises StrokeError for none, or for several: a stroke is one touch, and choosing
+    the first silently would drop what the artist drew after it."""
+    if not splines:
+        raise StrokeError("the curve has no spline.", where=where, remedy="Draw a curve in Edit Mode.")
+    if len(splines) > 1:
+        raise StrokeError(
+            f"the curve has {len(splines)} splines, and a stroke is one.",
+            where=where,
+            remedy="Separate them (Edit Mode, P, By Loose Parts) into one stroke object each.",
+        )
+    return splines[0]

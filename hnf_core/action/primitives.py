@@ -1,0 +1,173 @@
+"""The eight synthetic action classes of HNF+ (HNF, "Training"): three scrapes, each soft and hard, and two rubs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import UsageError
+from .action import ACTION_RATE_HZ, Action
+from .bezier import smooth_curve
+from .curves import ArcCurve, by_arc_length
+from .keys import Keys, eased_travel
+
+Float = NDArray[np.float64]
+
+SCRAPE_LENGTH_M = 60e-3
+SCRAPE_SPEED_M_S = 0.1
+RUB_EXTENT_M = 30e-3
+RUB_DURATION_S = 2.0
+SOFT_N, HARD_N, RUB_N = 0.5, 2.0, 1.0
+PRESS_S = 0.1
+"""Onset and release of the force; half of each overlaps the motion."""
+RAMP_S = 0.1
+SCRAPE_KNOTS = 25
+MIN_SIZE_M = 1e-4
+
+
+@dataclass(frozen=True)
+class Primitive:
+    """kind: scrape or rub. direction: unit vector of a scrape in the tangent plane (x right, y up). force: N.
+    speed: m/s."""
+
+    name: str
+    kind: str
+    direction: tuple[float, float]
+    force: float
+    speed: float
+
+
+_RIGHT, _DOWN, _DIAGONAL = (1.0, 0.0), (0.0, -1.0), (2**-0.5, -(2**-0.5))
+PRIMITIVES = {
+    primitive.name: primitive
+    for primitive in (
+        Primitive("left-right-soft", "scrape", _RIGHT, SOFT_N, SCRAPE_SPEED_M_S),
+        Primitive("left-right-hard", "scrape", _RIGHT, HARD_N, SCRAPE_SPEED_M_S),
+        Primitive("top-bottom-soft", "scrape", _DOWN, SOFT_N, SCRAPE_SPEED_M_S),
+        Primitive("top-bottom-hard", "scrape", _DOWN, HARD_N, SCRAPE_SPEED_M_S),
+        Primitive("diagonal-soft", "scrape", _DIAGONAL, SOFT_N, SCRAPE_SPEED_M_S),
+        Primitive("diagonal-hard", "scrape", _DIAGONAL, HARD_N, SCRAPE_SPEED_M_S),
+        Primitive("rub-slow", "rub", _RIGHT, RUB_N, 0.04),
+        Primitive("rub-fast", "rub", _RIGHT, RUB_N, 0.15),
+    )
+}
+PRIMITIVE_NAMES = tuple(PRIMITIVES)
+DEFAULT_PRIMITIVE = Primitive("default", "scrape", _RIGHT, 1.0, SCRAPE_SPEED_M_S)
+"""What touches a material nobody drew a stroke on: a scrape at 100 mm/s and 1 N, where real data is tabulated."""
+
+
+@dataclass(frozen=True)
+class PlanarPath:
+    """A primitive in a tangent plane.
+
+    points: (k, 2) m, knots of a smooth Bézier spline (bezier.smooth_curve), the middle of the surface at 0.
+    cyclic: whether it closes. progress: keys 0–1 of arc length. force: keys in N. duration_s: s. extent_m: the path
+    lies within a disc of this diameter around 0.
+    """
+
+    points: Float
+    cyclic: bool
+    progress: Keys
+    force: Keys
+    duration_s: float
+    extent_m: float
+
+
+def find_primitive(name: str) -> Primitive:
+    """The primitive of this name (or "default"). Raises UsageError, listing the names."""
+    if name == DEFAULT_PRIMITIVE.name:
+        return DEFAULT_PRIMITIVE
+    if name not in PRIMITIVES:
+        raise UsageError(f"there is no stroke called '{name}'.", remedy=f"Choose one of {', '.join(PRIMITIVES)}.")
+    return PRIMITIVES[name]
+
+
+def primitive_path(name: str, *, size_m: float = SCRAPE_LENGTH_M, seed: int = 0) -> PlanarPath:
+    """A primitive as a path that fits in a disc of diameter size_m; a smaller surface gives a shorter scrape, or a
+    rub of more and smaller rounds, at the same speed and force.
+
+    seed: shape of a rub (scrapes ignore it). Raises UsageError for an unknown name or a size below 0.1 mm.
+    """
+    primitive = find_primitive(name)
+    if not size_m >= MIN_SIZE_M:
+        raise UsageError(f"a stroke cannot fit in {size_m * 1e3:g} mm.", remedy="Choose a larger surface.")
+    if primitive.kind == "scrape":
+        extent = min(size_m, SCRAPE_LENGTH_M)
+        points = np.linspace(-extent / 2, extent / 2, SCRAPE_KNOTS)[:, None] * np.array(primitive.direction)
+        distance = extent
+    else:
+        distance = primitive.speed * (RUB_DURATION_S - PRESS_S - RAMP_S)
+        extent = min(size_m, RUB_EXTENT_M)
+        points = _rub_points(distance, extent, np.random.default_rng(seed))
+    travel = eased_travel(distance, primitive.speed, RAMP_S, start_s=PRESS_S / 2)
+    progress = Keys(travel.time, travel.value / distance, travel.slope / distance)
+    duration = float(travel.time[-1]) + PRESS_S / 2
+    press = min(PRESS_S, duration / 2)
+    force = Keys(
+        np.array([0.0, press, duration - press, duration])[_distinct(press, duration)],
+        np.array([0.0, primitive.force, primitive.force, 0.0])[_distinct(press, duration)],
+        np.zeros(4)[_distinct(press, duration)],
+    )
+    return PlanarPath(points, primitive.kind == "rub", progress, force, duration, extent)
+
+
+def _distinct(press: float, duration: float) -> list[int]:
+    return [0, 1, 2, 3] if duration - 2 * press > 1e-9 else [0, 1, 3]
+
+
+def _rub_points(distance: float, extent: float, rng: np.random.Generator) -> Float:
+    """Closed wandering rounds of exactly this arc length inside a disc: as few rounds as reach the length."""
+    phase = rng.uniform(0.0, 2 * np.pi, size=(3, 3))
+    squeeze, tilt = rng.uniform(0.6, 1.0), rng.uniform(0.0, np.pi)
+    handed = rng.choice([-1.0, 1.0])
+    turn = np.array([[np.cos(tilt), -np.sin(tilt)], [np.sin(tilt), np.cos(tilt)]])
+    order = np.arange(1.0, 4.0)
+    for rounds in range(2, 10_000):
+        t = np.linspace(0.0, 2 * np.pi, 12 * rounds, endpoint=False)
+        wander = (np.cos(order[:, None] * t + phase[:, :, None]) / order[:, None]).sum(axis=1) / 3
+        angle = handed * rounds * t + 0.5 * wander[2]
+        loop = np.stack([np.cos(angle) * (1 + 0.3 * wander[0]), squeeze * np.sin(angle) * (1 + 0.3 * wander[1])], 1)
+        loop = (loop + 0.35 * np.stack([wander[1], wander[0]], 1)) @ turn.T
+        arc = by_arc_length(smooth_curve(loop, cyclic=True))
+        dense = arc.point_at(np.linspace(0.0, arc.length, 40 * rounds))
+        centre = (dense.min(axis=0) + dense.max(axis=0)) / 2
+        reach = 1.001 * float(np.linalg.norm(dense - centre, axis=1).max())
+        if arc.length * extent / 2 / reach >= distance:
+            return np.asarray((loop - centre) * (distance / arc.length))
+    raise UsageError(
+        f"a rub of {distance * 1e3:g} mm does not fit in {extent * 1e3:g} mm.", remedy="Choose a larger surface."
+    )
+
+
+def path_curve(path: PlanarPath) -> ArcCurve:
+    """The path as a curve by arc length, (·, 2) metres."""
+    return by_arc_length(smooth_curve(path.points, cyclic=path.cyclic))
+
+
+def primitive_action(
+    name: str,
+    *,
+    rate: float = ACTION_RATE_HZ,
+    seed: int = 0,
+    size_m: float = SCRAPE_LENGTH_M,
+    probe: str = "pen",
+) -> Action:
+    """u(t) of a primitive on a flat surface whose tangent is +x, sampled at rate [Hz]. Raises UsageError."""
+    path = primitive_path(name, size_m=size_m, seed=seed)
+    curve = path_curve(path)
+    time = np.arange(int(np.ceil(path.duration_s * rate - 1e-9)) + 1) / rate
+    progress, slope = path.progress.sample(time)
+    progress = np.clip(progress, 0.0, 1.0)
+    force = np.maximum(path.force.sample(time)[0], 0.0)
+    position = progress * curve.length
+    return Action(
+        rate=rate,
+        direction=curve.tangent_at(position),
+        speed=np.abs(slope) * curve.length,
+        force=force,
+        position=position,
+        contact=force > 0.0,
+        probe=probe,
+    )
