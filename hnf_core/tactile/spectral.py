@@ -1,0 +1,99 @@
+"""Filters on patches: Fourier-domain products on a map whose edges were made harmless first."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+Responses = Callable[[tuple[int, int]], Sequence[NDArray[np.float64] | Complex]]
+
+
+@lru_cache(maxsize=8)
+def _frequencies(shape: tuple[int, int], metres_per_pixel: float) -> tuple[Float, Float]:
+    fx = np.fft.rfftfreq(shape[1], metres_per_pixel)[None, :]
+    fy = -np.fft.fftfreq(shape[0], metres_per_pixel)[:, None]
+    fx.flags.writeable = fy.flags.writeable = False
+    return fx, fy
+
+
+def frequencies(shape: tuple[int, int], metres_per_pixel: float) -> tuple[Float, Float]:
+    """Cycles per metre of rfft2's bins: fx (1, W//2 + 1) along +x, fy (H, 1) along +y, which is up (−row)."""
+    return _frequencies((int(shape[0]), int(shape[1])), float(metres_per_pixel))
+
+
+def gaussian_mtf(frequency: Float, sigma_m: float) -> Float:
+    """exp(−2π²σ²f²), the transfer of a Gaussian blur of standard deviation σ."""
+    return np.asarray(np.exp(-2.0 * (np.pi * sigma_m * frequency) ** 2))
+
+
+def plane_of(height: Float, weight: Float | None = None) -> tuple[float, float, float]:
+    """Least-squares plane a + b·column + c·row, columns and rows counted from the middle, in pixels."""
+    rows = np.arange(height.shape[0]) - (height.shape[0] - 1) / 2
+    columns = np.arange(height.shape[1]) - (height.shape[1] - 1) / 2
+    if weight is None:
+        across, down = float((columns**2).sum()), float((rows**2).sum())
+        b = float((height.sum(axis=0) @ columns) / max(across * len(rows), 1.0))
+        c = float((height.sum(axis=1) @ rows) / max(down * len(columns), 1.0))
+        return float(height.mean()), b, c
+    wc, wr = weight.sum(axis=0), weight.sum(axis=1)
+    weighted = weight * height
+    gram = np.array(
+        [
+            [wc.sum(), wc @ columns, wr @ rows],
+            [wc @ columns, wc @ columns**2, rows @ weight @ columns],
+            [wr @ rows, rows @ weight @ columns, wr @ rows**2],
+        ]
+    )
+    right = np.array([weighted.sum(), weighted.sum(axis=0) @ columns, weighted.sum(axis=1) @ rows])
+    a, b, c = np.linalg.lstsq(gram, right, rcond=1e-12)[0]
+    return float(a), float(b), float(c)
+
+
+def plane_image(shape: tuple[int, int], plane: tuple[float, float, float]) -> Float:
+    """(H, W) values of a plane from plane_of."""
+    rows = np.arange(shape[0]) - (shape[0] - 1) / 2
+    columns = np.arange(shape[1]) - (shape[1] - 1) / 2
+    return np.asarray(plane[0] + plane[1] * columns[None, :] + plane[2] * rows[:, None])
+
+
+def filtered(
+    height: Float, metres_per_pixel: float, responses: Responses, reflection: Literal["odd", "even"], reach_m: float
+) -> tuple[list[Float], tuple[float, float]]:
+    """Applies Fourier-domain responses to a map that does not repeat.
+
+    The mean plane is set aside, the rest is continued past the edges by reflection and faded to zero, so that no step
+    rings back into the patch. Odd reflection keeps slopes continuous (for derivatives), even reflection keeps the
+    local mean (for low-pass filters). responses(shape) gives the factors for rfft2's bins of the padded shape;
+    reach_m is how far they look (the length of their kernel). Returns the filtered maps (H, W), without the plane,
+    and the plane's slopes (∂h/∂x, ∂h/∂y).
+    """
+    rows, columns = height.shape
+    plane = plane_of(height)
+    level = height - plane_image((rows, columns), plane)
+    pad_rows, pad_columns = (_padding(size, reach_m / metres_per_pixel) for size in (rows, columns))
+    pads = (pad_rows, pad_rows), (pad_columns, pad_columns)
+    padded = np.pad(level, pads, mode="reflect", reflect_type=reflection)
+    padded *= _fade(rows, pad_rows)[:, None] * _fade(columns, pad_columns)[None, :]
+    spectrum = np.fft.rfft2(padded)
+    shape = (padded.shape[0], padded.shape[1])
+    inside = slice(pad_rows, pad_rows + rows), slice(pad_columns, pad_columns + columns)
+    maps = [np.ascontiguousarray(np.fft.irfft2(spectrum * factor, s=shape)[inside]) for factor in responses(shape)]
+    return maps, (plane[1] / metres_per_pixel, -plane[2] / metres_per_pixel)
+
+
+def _padding(size: int, reach: float) -> int:
+    # Whole sixteens keep the padded size a product of small primes, which the FFT likes.
+    wanted = 32 if reach <= 16 else 16 * int(np.ceil(min(reach, float(size)) / 16)) + 16
+    return min(wanted, size - 1)
+
+
+def _fade(size: int, pad: int) -> Float:
+    ramp = 0.5 - 0.5 * np.cos(np.pi * (np.arange(pad) + 0.5) / max(pad, 1))
+    return np.concatenate([ramp, np.ones(size), ramp[::-1]])
