@@ -36,13 +36,13 @@ class PiecewiseBezier:
 
         De Casteljau's algorithm in homogeneous coordinates, then the quotient rule.
         """
-        points: Float = self.control[segment]
-        along: Float = u[:, None, None]
+        points = self.control[segment]
+        along = u[:, None, None]
         for _ in range(points.shape[1] - 2):
-            points = (1.0 - along) * points[:, :-1] + along * points[:, 1:]
+            points = points[:, :-1] + along * (points[:, 1:] - points[:, :-1])
         degree = self.control.shape[1] - 1
         slope = degree * (points[:, 1] - points[:, 0])
-        value = (1.0 - along[:, 0]) * points[:, 0] + along[:, 0] * points[:, 1]
+        value = points[:, 0] + along[:, 0] * (points[:, 1] - points[:, 0])
         weight = value[:, -1:]
         position = value[:, :-1] / weight
         return position, (slope[:, :-1] - position * slope[:, -1:]) / weight

@@ -124,6 +124,8 @@ def by_arc_length(curve: PiecewiseBezier) -> ArcCurve:
             break
     segment, start, end, lengths = (np.concatenate(part) for part in zip(*done, strict=True))
     order = np.lexsort((start, segment))
+    if np.any(lengths > 0.0):
+        order = order[lengths[order] > 0.0]  # doubled points: a panel without length has no tangent
     station = np.concatenate([[0.0], np.cumsum(lengths[order])])
     return ArcCurve(curve, segment[order], start[order], end[order], station)
 

@@ -1,0 +1,93 @@
+"""NURBS splines with Blender's knots, cut exactly into rational Bézier segments."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import StrokeError
+from .bezier import PiecewiseBezier, poly_curve
+
+Float = NDArray[np.float64]
+
+
+def blender_knots(count: int, order: int, *, cyclic: bool, endpoint: bool, bezier: bool) -> Float:
+    """Knot vector of a Blender NURBS spline of count points (blenkernel, curve_nurbs.cc, calculate_knots).
+
+    Uniform unit spans; endpoint repeats the end knots order times; bezier repeats the inner ones order − 1 times;
+    cyclic appends order − 1 spans that copy the first ones.
+    """
+    size = count + order + (order - 1 if cyclic else 0)
+    tail = 2 * order - 1 if cyclic else (order if endpoint else 0)
+    repeat = order - 1 if bezier else 1
+    left = order - int(cyclic) if endpoint else (min(2, repeat) if bezier else 1)
+    knots = np.zeros(size)
+    value = 0.0
+    first = int(endpoint and cyclic)
+    value += first
+    for i in range(first, size - tail):
+        knots[i] = value
+        left -= 1
+        if left == 0:
+            value, left = value + 1.0, repeat
+    for i in range(tail):  # in order: with few points the tail copies its own beginning
+        knots[size - tail + i] = value + knots[i] - knots[0]
+    return knots
+
+
+def has_nurbs_form(count: int, order: int, *, cyclic: bool, bezier: bool, endpoint: bool) -> bool:
+    """Whether Blender can evaluate the spline; where not, it shows the control polygon instead."""
+    if count < order:
+        return False
+    if bezier:
+        return not (not endpoint and count <= order) and (not cyclic or count % (order - 1) == 0)
+    return True
+
+
+def nurbs_curve(
+    points: ArrayLike,
+    weights: ArrayLike,
+    order: int,
+    *,
+    cyclic: bool = False,
+    endpoint: bool = False,
+    bezier: bool = False,
+) -> PiecewiseBezier:
+    """NURBS spline: control points (k, dim), weights (k,), order 2–6, and Blender's cyclic, endpoint and bezier flags.
+
+    Where Blender draws the control polygon (fewer points than the order, or a count that does not suit bezier
+    knots), so does this. Each knot span becomes one Bézier segment by blossoming (Ramshaw 1989). Raises StrokeError
+    for weights that are not positive.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    weights = np.asarray(weights, dtype=np.float64)
+    if not np.all(weights > 0.0):
+        raise StrokeError("the curve has NURBS weights that are not positive.", remedy="Set the points' W above 0.")
+    if not has_nurbs_form(len(points), order, cyclic=cyclic, bezier=bezier, endpoint=endpoint):
+        return poly_curve(points, cyclic=cyclic)
+    if not np.all(np.isfinite(points)):
+        raise StrokeError("the curve's points are not all finite.", remedy="Delete or redraw the broken points.")
+    degree = order - 1
+    knots = blender_knots(len(points), order, cyclic=cyclic, endpoint=endpoint, bezier=bezier)
+    control = np.concatenate([points * weights[:, None], weights[:, None]], axis=1)
+    if cyclic:
+        control = np.concatenate([control, control[np.arange(degree) % len(control)]])
+    segments = [
+        [_blossom(control, knots, degree, span, [a] * (degree - i) + [b] * i) for i in range(order)]
+        for span, (a, b) in enumerate(pairwise(knots))
+        if degree <= span < len(control) and b > a
+    ]
+    return PiecewiseBezier(np.array(segments), cyclic)
+
+
+def _blossom(control: Float, knots: Float, degree: int, span: int, arguments: list[float]) -> Float:
+    """The polar form of knot span [knots[span], knots[span + 1]] at degree arguments: de Boor with one each level."""
+    level = control[span - degree : span + 1]
+    for r, argument in enumerate(arguments):
+        low = knots[span - degree + 1 + r : span + 1]
+        high = knots[span + 1 : span + 1 + degree - r]
+        share = ((argument - low) / (high - low))[:, None]
+        level = level[:-1] + share * (level[1:] - level[:-1])
+    return np.asarray(level[0])
