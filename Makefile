@@ -1,0 +1,57 @@
+# make demo | test | test-app | extension | lint | clean | clean-env       (Linux, Python 3.11; sets everything up)
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+.NOTPARALLEL:
+
+PYTHON ?= $(shell for p in python3.11 /usr/bin/python3.11 /usr/local/bin/python3.11 python3; do \
+  "$$p" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null && { echo "$$p"; break; }; done)
+VENV := .venv/bin
+PLATFORM ?= linux-x64
+
+.PHONY: help demo test test-app extension lint python env-demo env-test env-matrix clean clean-env
+
+help:
+	@echo 'make demo       set up, build the demo scene, touch it: build/demo'
+	@echo 'make test       set up, lint, types, all tests on bpy 5.0, 4.5 and 4.2'
+	@echo 'make test-app   tests in a real, windowed Blender in a Debian chroot (root)'
+	@echo 'make extension  the add-on as installable zips: dist'
+	@echo 'make clean      delete build and dist;  make clean-env  delete the environments too'
+
+python:
+	@if [ -z '$(PYTHON)' ]; then \
+	  echo 'Python 3.11 is needed and was not found. Install python3.11, or name it: make PYTHON=/path/to/python3.11' >&2; exit 1; fi
+
+env-demo: python
+	@'$(PYTHON)' tools/setup_env.py demo
+
+env-test: python
+	@'$(PYTHON)' tools/setup_env.py test
+
+env-matrix: python
+	@'$(PYTHON)' tools/setup_env.py test blender-4.5 blender-4.2
+
+demo: env-demo
+	@mkdir -p build/demo
+	timeout 600 $(VENV)/python tools/make_demo_scene.py build/demo/demo.blend
+	timeout 1800 $(VENV)/hnf touch build/demo/demo.blend --out build/demo
+
+test: env-matrix
+	@$(VENV)/python tools/run_tests.py
+
+test-app: env-test
+	@$(VENV)/python tools/run_tests.py app
+
+lint: env-test
+	$(VENV)/ruff check .
+	$(VENV)/mypy
+
+extension: env-demo
+	$(VENV)/python tools/build_extension.py --platform $(PLATFORM) --python 3.11 --python 3.13
+
+# --one-file-system: never follow a mount out of the tree (the chroot of test-app lies in build).
+clean:
+	rm -rf --one-file-system build dist
+
+clean-env: clean
+	rm -rf .venv .venv-4.5 .venv-4.2 hnf.egg-info

@@ -1,0 +1,101 @@
+"""Merge JUnit files of several pytest runs into one summary in pytest's own form, its totals on the last line.
+
+python tools/merge_summary.py build/test/*.xml
+"""
+
+from __future__ import annotations
+
+import sys
+import xml.etree.ElementTree as ElementTree
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+OUTCOMES = ("failed", "passed", "skipped", "error")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One test of one environment: outcome is a word of OUTCOMES, reason is its one-line message."""
+
+    environment: str
+    name: str
+    outcome: str
+    reason: str
+
+
+def read_cases(path: Path) -> list[Case]:
+    """The tests of one JUnit file; the file's name is the environment. Raises ParseError where it is no XML."""
+    cases = []
+    for element in ElementTree.parse(path).iter("testcase"):
+        outcome, reason = "passed", ""
+        for tag, word in (("skipped", "skipped"), ("failure", "failed"), ("error", "error")):
+            child = element.find(tag)
+            if child is not None:
+                outcome, reason = word, " ".join((child.get("message") or "").split())
+        name = f"{element.get('classname', '')}::{element.get('name', '')}".removeprefix("::")
+        cases.append(Case(path.stem, name, outcome, reason))
+    return cases
+
+
+def write_cases(path: Path, cases: list[Case]) -> None:
+    """Save cases as a JUnit file that `read_cases` reads back, for checks that are not pytest's."""
+    suite = ElementTree.Element("testsuite", name=path.stem)
+    tags = {"skipped": "skipped", "failed": "failure", "error": "error"}
+    for case in cases:
+        element = ElementTree.SubElement(suite, "testcase", name=case.name)
+        if case.outcome in tags:
+            ElementTree.SubElement(element, tags[case.outcome], message=case.reason)
+    ElementTree.ElementTree(suite).write(path, encoding="utf-8", xml_declaration=True)
+
+
+def read_seconds(path: Path) -> float:
+    """Sum of the run times that one JUnit file states."""
+    return sum(float(suite.get("time") or 0.0) for suite in ElementTree.parse(path).iter("testsuite"))
+
+
+def totals_line(cases: list[Case], seconds: float) -> str:
+    """`==== 1 failed, 2 passed, 3 skipped in 4.00s ====`, the words and their order as pytest has them."""
+    count = Counter(case.outcome for case in cases)
+    plural = {"error": "errors"}
+    words = [
+        f"{count[word]} {plural.get(word, word) if count[word] > 1 else word}" for word in OUTCOMES if count[word] > 0
+    ]
+    return f"==== {', '.join(words) or 'no tests ran'} in {seconds:.2f}s ===="
+
+
+def summary(cases: list[Case], seconds: float) -> str:
+    """Skipped tests grouped by reason, every failed one by name, and the totals last."""
+    lines = ["==== merged summary ===="]
+    skipped = Counter((case.environment, case.reason) for case in cases if case.outcome == "skipped")
+    lines += [f"SKIPPED [{n}] {environment}: {reason}" for (environment, reason), n in sorted(skipped.items())]
+    for word in ("failed", "error"):
+        lines += [
+            f"{word.upper()} {case.environment}: {case.name} - {case.reason[:200]}"
+            for case in cases
+            if case.outcome == word
+        ]
+    return "\n".join([*lines, totals_line(cases, seconds)])
+
+
+def has_failed(cases: list[Case]) -> bool:
+    """True where a test failed or none ran."""
+    return not cases or any(case.outcome in ("failed", "error") for case in cases)
+
+
+def main(arguments: list[str]) -> int:
+    """Print the merged summary of the files; 1 where something failed, was unreadable or nothing ran."""
+    cases: list[Case] = []
+    seconds = 0.0
+    for path in map(Path, arguments):
+        try:
+            cases += read_cases(path)
+            seconds += read_seconds(path)
+        except (OSError, ElementTree.ParseError) as error:
+            cases.append(Case(path.stem, str(path), "error", f"no readable result: {error}"))
+    print(summary(cases, seconds))
+    return int(has_failed(cases))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,155 @@
+"""Run every check in its environment, two at a time, and end with one merged summary in pytest's own form.
+
+    .venv/bin/python tools/run_tests.py             lint, types, core, and tests/blender on bpy 5.0, 4.5 and 4.2
+    .venv/bin/python tools/run_tests.py app         the real, windowed Blender
+    .venv/bin/python tools/run_tests.py core types  some of them by name
+
+Each check runs in a process group of its own with a time limit, writes build/test/NAME.log and NAME.xml, and is shown
+when it ends, so that logs of parallel checks never mix. Exit code 0 only when everything passed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+
+import merge_summary
+from merge_summary import Case
+
+ROOT = Path(__file__).resolve().parent.parent
+RESULTS = ROOT / "build" / "test"
+WORKERS = 2
+SHOWN_LINES = 80
+STOPPING = threading.Event()
+LIVE: set[subprocess.Popen[bytes]] = set()
+
+
+@dataclass(frozen=True)
+class Check:
+    """One process: its environment's folder, what it runs there, and when it is ended [s]."""
+
+    name: str
+    venv: str
+    arguments: tuple[str, ...]
+    timeout_s: float
+    is_pytest: bool = True
+
+
+# The longest first, so that two workers end at about the same time.
+CHECKS = (
+    Check("blender-5.0", ".venv", ("tests/blender",), 1200),
+    Check("blender-4.5", ".venv-4.5", ("tests/blender",), 1200),
+    Check("blender-4.2", ".venv-4.2", ("tests/blender",), 1200),
+    Check("core", ".venv", ("tests/core",), 900),
+    Check("types", ".venv", ("-m", "mypy"), 600, is_pytest=False),
+    Check("lint", ".venv", ("-m", "ruff", "check", "."), 120, is_pytest=False),
+)
+APP = Check("app", ".venv", ("tests/app",), 1200)
+
+
+def command_of(check: Check) -> list[str]:
+    """The command line of one check."""
+    python = str(ROOT / check.venv / "bin" / "python")
+    if not check.is_pytest:
+        return [python, *check.arguments]
+    cache = f"cache_dir=build/test/cache-{check.name}"
+    return [python, "-m", "pytest", *check.arguments, "-rfE", "-o", cache, f"--junitxml={RESULTS / check.name}.xml"]
+
+
+def run(check: Check) -> tuple[list[Case], str]:
+    """Run one check to its end or its time limit; its cases and its log."""
+    log_path, xml_path = RESULTS / f"{check.name}.log", RESULTS / f"{check.name}.xml"
+    for stale in RESULTS.glob(f"{check.name}*.xml"):
+        stale.unlink()
+    if STOPPING.is_set():
+        return [Case(check.name, check.name, "error", "not run: stopped before")], ""
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONFAULTHANDLER": "1"}
+    with log_path.open("wb") as log:
+        process = subprocess.Popen(
+            command_of(check),
+            cwd=ROOT,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+        LIVE.add(process)
+        try:
+            code = process.wait(timeout=check.timeout_s)
+            ending = f"ended with exit code {code}"
+        except subprocess.TimeoutExpired:
+            ending, code = f"was ended after {check.timeout_s:.0f} s", -1
+        finally:
+            LIVE.discard(process)
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+    return cases_of(check, code, ending, xml_path), log_path.read_text(encoding="utf-8", errors="replace")
+
+
+def cases_of(check: Check, code: int, ending: str, xml_path: Path) -> list[Case]:
+    """What one ended check adds to the totals. A check that ended badly without a failed test is itself an error."""
+    if not check.is_pytest:
+        outcome = [Case(check.name, check.name, "passed" if code == 0 else "failed", ending if code else "")]
+        merge_summary.write_cases(xml_path, outcome)
+        return outcome
+    cases = merge_summary.read_cases(xml_path) if xml_path.is_file() else []
+    if not cases or (code != 0 and not merge_summary.has_failed(cases)):
+        bad_end = [Case(check.name, "pytest", "error", f"{ending}; see build/test/{check.name}.log")]
+        merge_summary.write_cases(xml_path.with_name(f"{check.name}-ending.xml"), bad_end)
+        cases += bad_end
+    return cases
+
+
+def stop(_number: int, _frame: object) -> None:
+    """Signal handler: end every running check, so that none outlives this process; the summary still follows."""
+    STOPPING.set()
+    for process in list(LIVE):
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+
+
+def select(names: list[str]) -> list[Check]:
+    """The checks of these names; all but `app` where none is named. Raises KeyError for a name that is none."""
+    known = {check.name: check for check in (*CHECKS, APP)}
+    return [known[name] for name in names] if names else list(CHECKS)
+
+
+def main(names: list[str]) -> int:
+    """Run the checks, print each log as it ends, the merged summary last."""
+    try:
+        checks = select(names)
+    except KeyError as error:
+        print(f"No check is called {error}. There are: {', '.join(c.name for c in (*CHECKS, APP))}.", file=sys.stderr)
+        return 2
+    RESULTS.mkdir(parents=True, exist_ok=True)
+    started = time.monotonic()
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
+    cases: list[Case] = []
+    with ThreadPoolExecutor(WORKERS) as pool:
+        running = {pool.submit(run, check): check for check in checks}
+        for future in as_completed(running):
+            check = running[future]
+            found, log = future.result()
+            cases += found
+            shown = log.rstrip().splitlines()
+            print(f"\n---- {check.name} " + "-" * (100 - len(check.name)), flush=True)
+            if len(shown) > SHOWN_LINES:
+                print(f"… {len(shown) - SHOWN_LINES} lines before this in build/test/{check.name}.log")
+            print("\n".join(shown[-SHOWN_LINES:]), flush=True)
+    print("\n" + merge_summary.summary(cases, time.monotonic() - started), flush=True)
+    return int(merge_summary.has_failed(cases))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

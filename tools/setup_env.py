@@ -1,0 +1,129 @@
+"""Create or refresh the project's Python environments; a second call with nothing changed returns at once.
+
+    python3.11 tools/setup_env.py demo                  .venv, enough for `hnf touch`
+    python3.11 tools/setup_env.py test blender-4.5 …    .venv with the test tools, .venv-4.5, …
+
+Each name is a file in tools/requirements. A stamp inside the environment holds the hash of everything that decides
+its content; it is written only after pip has succeeded, so an interrupted set-up is taken up again by the next call.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import subprocess
+import sys
+import time
+import tomllib
+from pathlib import Path
+
+import system_libraries
+
+ROOT = Path(__file__).resolve().parent.parent
+REQUIREMENTS = ROOT / "tools" / "requirements"
+FOLDERS = {"demo": ".venv", "test": ".venv", "blender-4.5": ".venv-4.5", "blender-4.2": ".venv-4.2"}
+# An environment that already holds a larger set serves the smaller one.
+SERVED_BY = {"demo": ("demo", "test")}
+PIP_TIMEOUT_S = 1800
+
+
+class SetupError(Exception):
+    """Set-up cannot go on; the message names the remedy."""
+
+
+def fingerprint(name: str) -> str:
+    """Hash of the requirements, the pins, the project's own dependencies and the Python version."""
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        project = tomllib.load(file)
+    parts = [
+        (REQUIREMENTS / f"{name}.txt").read_text(encoding="utf-8"),
+        (REQUIREMENTS / "constraints.txt").read_text(encoding="utf-8"),
+        repr((project["project"], project["build-system"])),
+        repr((sys.version_info[:2], str(ROOT))),
+    ]
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()
+
+
+def stamp_path(folder: Path, name: str) -> Path:
+    """Where the hash of set `name` is kept."""
+    return folder / f"hnf-{name}.stamp"
+
+
+def is_fresh(folder: Path, name: str) -> bool:
+    """True where the environment holds set `name` as it is now, whether by that name or within a larger set."""
+    for served in SERVED_BY.get(name, (name,)):
+        stamp = stamp_path(folder, served)
+        if stamp.is_file() and stamp.read_text(encoding="utf-8") == fingerprint(served):
+            return (folder / "bin" / "python").exists()
+    return False
+
+
+def ensure_interpreter(folder: Path) -> Path:
+    """Path of the environment's Python 3.11; makes the environment where there is none or a broken one."""
+    python = folder / "bin" / "python"
+    if folder.exists():
+        probe = [str(python), "-c", "import sys, pip; print(sys.version_info[:2] == (3, 11))"]
+        try:
+            answer = subprocess.run(probe, capture_output=True, text=True, timeout=60, check=True).stdout.strip()
+        except (OSError, subprocess.SubprocessError):
+            answer = "broken"
+        if answer == "True":
+            return python
+        if answer == "False":
+            raise SetupError(f"{folder} holds another Python than 3.11. Remove or rename it, then run make again.")
+        if not (folder / "pyvenv.cfg").is_file():
+            raise SetupError(f"{folder} is in the way and is no Python environment. Rename it, then run make again.")
+        shutil.rmtree(folder)
+    subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True, timeout=300)
+    return python
+
+
+def pip(python: Path, *arguments: str) -> None:
+    """Run pip in the project's root, quietly."""
+    command = [str(python), "-m", "pip", "--disable-pip-version-check", "--no-input", "install", "-q", *arguments]
+    subprocess.run(command, cwd=ROOT, check=True, timeout=PIP_TIMEOUT_S, stdin=subprocess.DEVNULL)
+
+
+def ensure(name: str) -> None:
+    """Make the environment of set `name` hold exactly the pinned versions."""
+    folder = ROOT / FOLDERS[name]
+    if is_fresh(folder, name):
+        return
+    started = time.monotonic()
+    print(
+        f"Setting up {folder.name} for {name} (downloads about {'2 GB' if name == 'test' else '500 MB'}) …", flush=True
+    )
+    python = ensure_interpreter(folder)
+    stamp_path(folder, name).unlink(missing_ok=True)
+    pip(python, "-c", str(REQUIREMENTS / "constraints.txt"), "setuptools")
+    # Without isolation the build uses the pinned setuptools and downloads nothing else.
+    pip(python, "--no-build-isolation", "-r", str(REQUIREMENTS / f"{name}.txt"))
+    stamp_path(folder, name).write_text(fingerprint(name), encoding="utf-8")
+    print(f"{folder.name} is ready ({time.monotonic() - started:.0f} s).", flush=True)
+
+
+def main(names: list[str]) -> int:
+    """Ensure each named set in turn; 0 when all are ready, 1 with one clear line otherwise."""
+    unknown = [name for name in names if name not in FOLDERS]
+    if unknown or not names:
+        print(f"usage: setup_env.py {{{','.join(FOLDERS)}}}…", file=sys.stderr)
+        return 2
+    if sys.version_info[:2] != (3, 11):
+        print("Python 3.11 is needed: run this with python3.11, or name it with make PYTHON=…", file=sys.stderr)
+        return 1
+    if system_libraries.main() != 0:
+        return 1
+    for name in names:
+        try:
+            ensure(name)
+        except SetupError as error:
+            print(error, file=sys.stderr)
+            return 1
+        except (OSError, subprocess.SubprocessError) as error:
+            print(f"Setting up {FOLDERS[name]} failed: {error}. Fix that and run make again.", file=sys.stderr)
+            return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
