@@ -1,0 +1,87 @@
+"""Tokens on the mesh: an INT attribute of palette indices, FLOAT companions, and the table in an ID property.
+
+Everything lives in the mesh datablock, so it survives save, reload, append and copies, also without the add-on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from hnf_core.errors import SceneError
+from hnf_core.material.palette import Palette
+from numpy.typing import NDArray
+
+TOKEN_ATTRIBUTE = "hnf_token"
+ROUGHNESS_ATTRIBUTE = "hnf_roughness"
+CONFIDENCE_ATTRIBUTE = "hnf_confidence"
+PALETTE_PROPERTY = "hnf_palette"
+SOURCE_PROPERTY = "hnf_source"
+SCHEMA_PROPERTY = "hnf_schema"
+SCHEMA = 1
+UNBAKED = -1
+
+
+@dataclass(frozen=True)
+class FaceTokens:
+    """What one mesh carries. index: (F,) int32 into palette, UNBAKED where nothing was touched.
+    roughness: (F,) float32 metres RMS; confidence: (F,) float32. source: hash of what it was baked from."""
+
+    palette: Palette
+    index: NDArray[np.int32]
+    roughness: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    source: str
+
+
+def write_tokens(mesh: Any, tokens: FaceTokens) -> None:
+    """Store tokens on mesh. Raises SceneError for a linked mesh, Edit Mode, or a face count that does not fit."""
+    if mesh.library is not None:
+        raise SceneError(
+            f"its mesh is linked from {mesh.library.filepath} and cannot be written.",
+            where=f"mesh '{mesh.name}'",
+            remedy="Make it local (Object > Relations > Make Local) to keep tokens on it; the signals are not affected.",
+        )
+    if mesh.is_editmode:
+        raise SceneError("it is in Edit Mode.", where=f"mesh '{mesh.name}'", remedy="Leave Edit Mode and bake again.")
+    count = len(mesh.polygons)
+    if not len(tokens.index) == len(tokens.roughness) == len(tokens.confidence) == count:
+        raise SceneError(f"it has {count} faces, the bake has {len(tokens.index)}.", where=f"mesh '{mesh.name}'")
+    _write(mesh, TOKEN_ATTRIBUTE, "INT", np.ascontiguousarray(tokens.index, dtype=np.int32))
+    _write(mesh, ROUGHNESS_ATTRIBUTE, "FLOAT", np.ascontiguousarray(tokens.roughness, dtype=np.float32))
+    _write(mesh, CONFIDENCE_ATTRIBUTE, "FLOAT", np.ascontiguousarray(tokens.confidence, dtype=np.float32))
+    mesh[PALETTE_PROPERTY] = tokens.palette.to_bytes()
+    mesh[SOURCE_PROPERTY] = tokens.source
+    mesh[SCHEMA_PROPERTY] = SCHEMA
+
+
+def read_tokens(mesh: Any) -> FaceTokens | None:
+    """What write_tokens stored, or None where the mesh carries nothing (or another schema's data)."""
+    if mesh.get(SCHEMA_PROPERTY) != SCHEMA or any(
+        mesh.attributes.get(name) is None for name in (TOKEN_ATTRIBUTE, ROUGHNESS_ATTRIBUTE, CONFIDENCE_ATTRIBUTE)
+    ):
+        return None
+    return FaceTokens(
+        palette=Palette.from_bytes(bytes(mesh[PALETTE_PROPERTY])),
+        index=_read(mesh, TOKEN_ATTRIBUTE, np.int32),
+        roughness=_read(mesh, ROUGHNESS_ATTRIBUTE, np.float32),
+        confidence=_read(mesh, CONFIDENCE_ATTRIBUTE, np.float32),
+        source=str(mesh[SOURCE_PROPERTY]),
+    )
+
+
+def _write(mesh: Any, name: str, kind: str, values: NDArray[Any]) -> None:
+    attribute = mesh.attributes.get(name)
+    if attribute is not None and (attribute.data_type != kind or attribute.domain != "FACE"):
+        mesh.attributes.remove(attribute)
+        attribute = None
+    if attribute is None:
+        mesh.attributes.new(name, kind, "FACE")
+    mesh.attributes[name].data.foreach_set("value", values)  # fetched anew: new() invalidates earlier references
+
+
+def _read(mesh: Any, name: str, dtype: type) -> NDArray[Any]:
+    values = np.empty(len(mesh.polygons), dtype=dtype)
+    mesh.attributes[name].data.foreach_get("value", values)
+    return values

@@ -1,0 +1,72 @@
+"""The surface's own height under p(t): one profile along the path, stitched from the patches' tactile maps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..scene.patch import Patch
+from ..tactile.height import sample_height
+from ..tactile.tactile_map import TactileMap
+from .stroke import HeightProfile
+
+Float = NDArray[np.float64]
+
+OVERLAP_M = 1.5e-3
+"""Neighbouring patches fade into each other over this length: each has its own mean plane, and a step between planes
+would be felt as an edge that is not there."""
+SAMPLES_PER_WAVELENGTH = 4.0
+SHORTEST_STEP_M, LONGEST_STEP_M = 20e-6, 0.5e-3
+
+
+def stroke_profile(
+    position: Float,
+    point: Float,
+    patch_index: NDArray[np.int32],
+    patches: Sequence[Patch],
+    maps: Sequence[TactileMap | None],
+) -> HeightProfile | None:
+    """Height along the path, or None where no touched patch has one or the hand never moves.
+
+    position: (n,) m, place along the path of each action sample (may run backward). point: (n, 3) contact points in
+    the surface frame. patch_index: (n,) which patch, −1 off the surface. maps: per patch, None where nothing was
+    measured (flat there). The profile resolves what the coarsest measured map resolves.
+    """
+    measured = [tactile.resolved_wavelength_m for tactile in maps if tactile is not None and tactile.height is not None]
+    touched = np.flatnonzero(patch_index >= 0)
+    if not measured or len(touched) < 2:
+        return None
+    places, first = np.unique(position[touched], return_index=True)
+    if places[-1] - places[0] < SHORTEST_STEP_M:
+        return None
+    step = float(np.clip(min(measured) / SAMPLES_PER_WAVELENGTH, SHORTEST_STEP_M, LONGEST_STEP_M))
+    grid = np.arange(places[0], places[-1] + step, step)
+    points = np.stack([np.interp(grid, places, point[touched[first], axis]) for axis in range(3)], axis=-1)
+    owner = _owner(grid, position, patch_index)
+    height = np.zeros(len(grid))
+    for index in np.unique(owner[owner >= 0]):
+        tactile = maps[index]
+        if tactile is None or tactile.height is None:
+            continue
+        weight = _fade((owner == index).astype(np.float64), OVERLAP_M / step)
+        inside = weight > 0.0
+        height[inside] += weight[inside] * sample_height(tactile, patches[index].to_plane(points[inside]))
+    return HeightProfile(step, float(grid[0]), height, max(measured))
+
+
+def _owner(grid: Float, position: Float, patch_index: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Patch of the action sample nearest to each place; samples off the surface own their places too."""
+    places, first = np.unique(position, return_index=True)
+    right = np.clip(np.searchsorted(places, grid), 1, len(places) - 1)
+    nearest = np.where(grid - places[right - 1] < places[right] - grid, right - 1, right)
+    return patch_index[first[nearest]]
+
+
+def _fade(indicator: Float, length: float) -> Float:
+    """Smooth a 0/1 track with a raised cosine. Smoothed indicators of a partition still sum to 1."""
+    half = max(1, round(length))
+    kernel = 1.0 + np.cos(np.pi * np.arange(-half, half + 1) / (half + 1))
+    padded = np.pad(indicator, half, mode="edge")
+    return np.convolve(padded, kernel / kernel.sum(), mode="valid")
