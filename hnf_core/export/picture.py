@@ -1,0 +1,130 @@
+"""One picture of a stroke: where the hand went, what it did, and what was felt."""
+
+from __future__ import annotations
+
+import io
+import textwrap
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import __version__
+from ..action.action import Action
+from ..errors import FileError
+from ..files import write_bytes
+from ..signal import Signal
+from .path_on_view import StrokeView, draw_path
+from .tracks import INK, QUIET, TRACKS_BOTTOM, draw_spectrum, draw_tracks
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SIZE_PX = (1600, 1000)
+LEFT = 0.025
+PAPER = "#fbfbf9"
+STYLE: dict[str, Any] = {
+    "font.family": ["DejaVu Sans"],
+    "font.size": 10.5,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": "#b9c0c8",
+    "axes.facecolor": "#ffffff",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e8eaed",
+    "xtick.color": QUIET,
+    "ytick.color": QUIET,
+    "figure.facecolor": PAPER,
+    "text.parse_math": False,
+}
+
+
+def stroke_picture(
+    path: Path,
+    *,
+    title: str,
+    action: Action,
+    signal: Signal,
+    view: StrokeView | None = None,
+    facts: Mapping[str, str] | None = None,
+    frequency_scale: Literal["linear", "log"] = "linear",
+    highest_hz: float = 1000.0,
+) -> None:
+    """Draw a stroke into a PNG of 1600 × 1000 pixels, atomically: the view with the stroke coloured by force, and on
+    one time axis force [N], speed [mm/s], acceleration [m/s²] and its spectrogram [dB re 1 (m/s²)²/Hz].
+
+    facts: label → text lines below the view (material, routes, confidence, …); seed, duration and RMS are added.
+    Equal input gives equal bytes with one version of matplotlib. No display and no global figure is used.
+    Raises FileError where matplotlib is missing or the file cannot be written.
+    """
+    try:
+        import matplotlib.style
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise FileError(
+            f"pictures need matplotlib ({error}).", where=str(path), remedy="Install it, or go without pictures."
+        ) from error
+    with matplotlib.style.context(["default", STYLE]), warnings.catch_warnings():
+        # Names in scripts that the font lacks show as boxes; that is no reason to write to the terminal.
+        warnings.filterwarnings("ignore", message="Glyph .* missing")
+        figure = Figure(figsize=(SIZE_PX[0] / 100, SIZE_PX[1] / 100), dpi=100)
+        FigureCanvasAgg(figure)
+        figure.text(LEFT, 0.955, _short(title, 90), fontsize=19, fontweight="bold", va="center")
+        end = _draw_view(figure, view, _lines(signal, facts or {}))
+        if end - TRACKS_BOTTOM > 0.14:
+            draw_spectrum(figure, signal, (LEFT + 0.035, TRACKS_BOTTOM, 0.44, min(end - TRACKS_BOTTOM - 0.035, 0.3)))
+        draw_tracks(figure, action, signal, frequency_scale, highest_hz)
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="png", dpi=100, metadata={"Software": f"Haptic Neural Fields {__version__}"})
+    write_bytes(Path(path), buffer.getvalue())
+
+
+def linear_to_srgb(rgb: NDArray[Any]) -> NDArray[np.float64]:
+    """IEC 61966-2-1 transfer of linear values; out of range is clipped, not-a-number is black."""
+    linear = np.clip(np.nan_to_num(np.asarray(rgb, dtype=np.float64), nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def _lines(signal: Signal, facts: Mapping[str, str]) -> list[tuple[str, str]]:
+    own = {
+        "Strength": f"{signal.rms:.3g} m/s² RMS, peak {np.abs(signal.samples).max(initial=0.0):.3g} m/s²",
+        "Signal": f"{signal.duration_s:.2f} s at {signal.sample_rate:g} Hz, seed {signal.seed}",
+    }
+    return [(label, text) for label, text in {**facts, **own}.items()]
+
+
+def _short(text: str, most: int) -> str:
+    text = " ".join(text.split())
+    return text if len(text) <= most else text[: most - 1] + "…"
+
+
+def _draw_view(figure: Figure, view: StrokeView | None, lines: list[tuple[str, str]]) -> float:
+    """The view as large as fits in the left column, its colour bar, and the facts below. Returns where they end."""
+    left, top, width, line = LEFT, 0.915, 0.475, 0.025
+    rows = [(label, row) for label, text in lines for row in textwrap.wrap(text, 82)[:2] or [""]]
+    bottom = top
+    if view is not None:
+        height, columns = view.rgb.shape[:2]
+        room = top - 0.1 - line * len(rows) - 0.05
+        tallest = width * SIZE_PX[0] * height / columns / SIZE_PX[1]
+        share = min(1.0, room / tallest)
+        bottom = top - tallest * share
+        axes = figure.add_axes((left + width * (1 - share) / 2, bottom, width * share, tallest * share))
+        axes.imshow(linear_to_srgb(view.rgb), extent=(0, columns, height, 0), interpolation="antialiased")
+        axes.set(xlim=(0, columns), ylim=(height, 0), xticks=[], yticks=[])
+        axes.grid(False)
+        draw_path(figure, axes, view, (left, bottom - 0.028, width, 0.014))
+        bottom -= 0.085
+    for number, (label, row) in enumerate(rows):
+        y = bottom - 0.02 - line * number
+        if number == 0 or label != rows[number - 1][0]:
+            figure.text(left, y, _short(label, 14), color=QUIET)
+        figure.text(left + 0.085, y, row)
+    return bottom - line * len(rows)

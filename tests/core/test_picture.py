@@ -1,0 +1,166 @@
+"""The stroke's picture: its numbers obey their laws, and any input gives a whole PNG without global state."""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hnf_core.action.action import Action
+from hnf_core.errors import FileError
+from hnf_core.export.path_on_view import StrokeView
+from hnf_core.export.picture import linear_to_srgb, stroke_picture
+from hnf_core.export.spectra import spectrogram
+from hnf_core.signal import Signal
+
+image = pytest.importorskip("matplotlib.image", reason="pictures need matplotlib")
+
+
+def action(n: int = 101, force: float = 1.0) -> Action:
+    speed = np.full(n, 0.1)
+    forces = np.full(n, force)
+    return Action(200.0, np.tile([1.0, 0.0], (n, 1)), speed, forces, np.cumsum(speed) / 200, forces > 0)
+
+
+def signal(n: int = 4000) -> Signal:
+    return Signal(np.sin(np.arange(n) * 0.2).astype(np.float32), 8000.0, 3)
+
+
+def view(height: int = 54, width: int = 96, n: int = 101, force: float = 1.0) -> StrokeView:
+    k = np.linspace(0.1, 0.9, n)
+    return StrokeView(
+        np.full((height, width, 3), 0.2, np.float32), np.stack([width * k, height * k], axis=1), np.full(n, force)
+    )
+
+
+def pixels(path: Path) -> np.ndarray:
+    return image.imread(io.BytesIO(path.read_bytes()), format="png")[..., :3]
+
+
+@given(rate=st.sampled_from([1000.0, 8000.0, 44100.0]), hertz=st.floats(100.0, 400.0), size=st.floats(0.01, 100.0))
+def test_a_tone_keeps_its_power_and_its_frequency(rate: float, hertz: float, size: float) -> None:
+    t = np.arange(int(rate)) / rate
+    spectra = spectrogram(Signal((size * np.sin(2 * np.pi * hertz * t)).astype(np.float32), rate, 0))
+    step = spectra.frequency[1]
+    inner = spectra.power[:, 2:-3]
+    assert np.allclose(inner.sum(axis=0) * step, size**2 / 2, rtol=0.02)
+    assert abs(spectra.frequency[np.argmax(inner.mean(axis=1))] - hertz) <= step
+
+
+def test_white_noise_is_flat_at_its_variance() -> None:
+    noise = np.random.default_rng(0).normal(size=200_000).astype(np.float32)
+    spectra = spectrogram(Signal(noise, 2000.0, 0))
+    assert np.median(spectra.mean()[2:-2]) == pytest.approx(1.0 / 1000.0, rel=0.03)
+    assert spectra.mean().sum() * spectra.frequency[1] == pytest.approx(1.0, rel=0.03)
+
+
+def test_every_sample_falls_into_a_window() -> None:
+    for n in (0, 1, 511, 512, 513, 1000, 4001):
+        spectra = spectrogram(Signal(np.ones(n, np.float32), 8000.0, 0))
+        assert spectra.power.shape == (len(spectra.frequency), len(spectra.time))
+        assert (spectra.time[-1] + 0.032) * 8000.0 >= n
+
+
+def test_srgb_transfer() -> None:
+    assert linear_to_srgb(np.array([0.0, 1.0, 0.21404114, 0.003])) == pytest.approx([0.0, 1.0, 0.5, 0.03876], abs=1e-6)
+    assert linear_to_srgb(np.array([np.nan, np.inf, -np.inf, -1.0, 7.0])) == pytest.approx([0, 1, 0, 0, 1])
+
+
+def test_the_view_shows_the_path_in_the_colour_of_its_force(tmp_path: Path) -> None:
+    stroke_picture(tmp_path / "a.png", title="A", action=action(), signal=signal(), view=view())
+    drawn = pixels(tmp_path / "a.png")
+    assert drawn.shape == (1000, 1600, 3)
+    column = slice(40, 790)
+    full_force, grey = np.array([240, 249, 33]) / 255, linear_to_srgb(np.float32([0.2, 0.2, 0.2]))
+    at = np.argwhere(np.abs(drawn[90:500, column] - full_force).max(axis=2) < 0.02)
+    assert len(at) > 500
+    # The path runs down the diagonal of the view, so rows and columns of its pixels go together.
+    assert np.corrcoef(at.T)[0, 1] > 0.99
+    assert np.mean(np.abs(drawn[90:500, column] - grey).max(axis=2) < 0.01) > 0.5
+
+
+def test_hidden_parts_are_not_drawn_as_visible(tmp_path: Path) -> None:
+    stroke_picture(tmp_path / "a.png", title="A", action=action(), signal=signal(), view=view())
+    hidden = StrokeView(view().rgb, view().path, view().force, np.zeros(101, bool))
+    stroke_picture(tmp_path / "b.png", title="A", action=action(), signal=signal(), view=hidden)
+    full_force = np.array([240, 249, 33]) / 255
+    count = [
+        np.sum(np.abs(pixels(tmp_path / n)[90:500, 40:790] - full_force).max(axis=2) < 0.02) for n in ("a.png", "b.png")
+    ]
+    assert count[0] > 500
+    assert count[1] == 0
+
+
+def test_equal_input_gives_equal_bytes(tmp_path: Path) -> None:
+    for name in ("a.png", "b.png"):
+        stroke_picture(
+            tmp_path / name, title="A", action=action(), signal=signal(), view=view(), facts={"Probe": "pen"}
+        )
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+@settings(max_examples=8, deadline=None)
+@given(title=st.text(max_size=120), label=st.text(max_size=30), text=st.text(max_size=300))
+def test_names_are_never_read_as_markup(
+    title: str, label: str, text: str, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "names.png"
+    stroke_picture(path, title=title + "$\\frac{", action=action(), signal=signal(400), facts={label: text + "$^$"})
+    assert pixels(path).shape == (1000, 1600, 3)
+
+
+@pytest.mark.parametrize(
+    ("moves", "felt", "seen"),
+    [
+        (action(1), signal(0), None),
+        (action(2), Signal(np.zeros(1, np.float32), 8000.0, 0), view(n=1)),
+        (action(force=0.0), Signal(np.zeros(4000, np.float32), 8000.0, 0), view(force=0.0)),
+        (action(), signal(100), view(100, 100)),
+        (action(), signal(), view(400, 50)),
+        (action(), signal(), view(20, 400)),
+        (action(), Signal(signal().samples, 500.0, 0), view(n=0)),
+    ],
+    ids=["one instant", "one sample", "silence", "square", "portrait", "panorama", "slow rate"],
+)
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_edges_of_input(tmp_path: Path, moves: Action, felt: Signal, seen: StrokeView | None, scale: str) -> None:
+    path = tmp_path / "a.png"
+    stroke_picture(path, title="A", action=moves, signal=felt, view=seen, frequency_scale=scale)
+    assert pixels(path).std() > 0.01
+
+
+def test_no_display_no_pyplot_and_the_style_is_put_back(tmp_path: Path) -> None:
+    code = (
+        "import sys; sys.path.insert(0, 'tests/core')\n"
+        "import matplotlib\n"
+        "from pathlib import Path\n"
+        "from test_picture import action, signal, view\n"
+        "from hnf_core.export.picture import stroke_picture\n"
+        "style = lambda: {k: matplotlib.rcParams[k] for k in matplotlib.rcParams if k != 'backend'}\n"
+        "before = style()\n"
+        "stroke_picture(Path(sys.argv[1]), title='A', action=action(), signal=signal(), view=view())\n"
+        "assert style() == before\n"
+        "assert 'matplotlib.pyplot' not in sys.modules\n"
+    )
+    root = Path(__file__).parents[2]
+    env = {k: v for k, v in os.environ.items() if k != "DISPLAY"} | {"PYTHONPATH": str(root)}
+    subprocess.run([sys.executable, "-c", code, str(tmp_path / "a.png")], check=True, cwd=root, env=env, timeout=120)
+
+
+def test_without_matplotlib_the_error_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(FileError, match="pictures need matplotlib"):
+        stroke_picture(tmp_path / "a.png", title="A", action=action(), signal=signal())
+
+
+def test_an_unwritable_target_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(FileError, match="cannot write here"):
+        stroke_picture(tmp_path / "file" / "a.png", title="A", action=action(), signal=signal(400))
