@@ -23,7 +23,7 @@ Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 DEFAULT_STIFFNESS_N_M = 5.0e4
-"""Contact stiffness assumed where it is unknown: between soft plastic and wood under a 0.8 mm tip at 1 N."""
+"""Contact stiffness assumed where it is unknown: between soft plastic and wood under the pen's tip at 1 N."""
 DEFAULT_DAMPING_RATIO = 0.2
 DEFAULT_FRICTION = 0.3
 """Median kinetic μ of the ten HaTT categories."""
@@ -70,10 +70,13 @@ def contact_radius(mechanics: Mechanics, probe: Probe, force_n: ArrayLike) -> Fl
     """Radius [m] of the contact disc at a normal force [N], the shape of force_n.
 
     Hertz, with E* eliminated: F = (2/3) k a² / R, so a = sqrt(3 F R / 2k). Capped at the tip radius R, beyond which
-    the parabola of Hertz no longer is the sphere (soft foam). 0 where F ≤ 0.
+    the parabola of Hertz no longer is the sphere (soft foam). k is the surface's own, in series with the pad of a soft
+    tip; a shaft's spring widens nothing. 0 where F ≤ 0.
     """
     force = np.maximum(np.asarray(force_n, dtype=np.float64), 0.0)
-    stiffness = contact_stiffness(mechanics, probe, force)
+    stiffness = surface_stiffness_at_1n(mechanics, probe) * np.cbrt(force)
+    if probe.soft_tip:
+        stiffness = contact_stiffness(mechanics, probe, force)
     area = np.divide(1.5 * force * probe.tip_radius_m, stiffness, out=np.zeros_like(stiffness), where=stiffness > 0.0)
     return np.asarray(np.minimum(np.sqrt(area), probe.tip_radius_m))
 
