@@ -1,0 +1,208 @@
+"""Build the Blender extension: dist/hnf-VERSION-PLATFORM-pyXY.zip, checked by Blender's own validator.
+
+    .venv/bin/python tools/build_extension.py [--python 3.11]… [--platform linux-x64]… [--out dist]
+
+The extension's root is hnf_blender, with hnf_core inside it, so that it touches no module outside its own name. The
+source is addon_manifest.toml; wheels are taken from the package index unmodified and kept in build/wheels.
+"""
+
+from __future__ import annotations
+
+import argparse
+import fcntl
+import hashlib
+import importlib.util
+import json
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from relative_imports import ImportRewriteError, rewrite_file
+
+ROOT = Path(__file__).resolve().parent.parent
+WHEELS = ROOT / "build" / "wheels"
+STAGING = ROOT / "build" / "extension"
+SKIPPED = shutil.ignore_patterns("__pycache__", "*.pyc", ".*", "*.blend1")
+TAGLINE_LIMIT = 64
+
+
+class BuildError(Exception):
+    """The extension cannot be built; the message names the file and the remedy."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """One zip: a Python version ("3.11") and one of Blender's platform names ("linux-x64")."""
+
+    python: str
+    platform: str
+
+    @property
+    def tag(self) -> str:
+        """`linux-x64-py311`."""
+        return f"{self.platform}-py{self.python.replace('.', '')}"
+
+
+def read_source() -> dict[str, Any]:
+    """addon_manifest.toml as it stands. Raises BuildError where it is unreadable or says too much."""
+    try:
+        source = tomllib.loads((ROOT / "addon_manifest.toml").read_text(encoding="utf-8"))
+    except (OSError, tomllib.TOMLDecodeError) as error:
+        raise BuildError(f"addon_manifest.toml cannot be read: {error}") from error
+    if len(source["manifest"]["tagline"]) > TAGLINE_LIMIT:
+        raise BuildError(f"addon_manifest.toml: the tagline is longer than {TAGLINE_LIMIT} characters. Shorten it.")
+    return source
+
+
+def project_version() -> str:
+    """hnf_core.__version__, read without importing. Raises BuildError where it is no x.y.z."""
+    text = (ROOT / "hnf_core" / "__init__.py").read_text(encoding="utf-8")
+    match = re.search(r'^__version__ = "(\d+\.\d+\.\d+[\w.+-]*)"$', text, re.MULTILINE)
+    if match is None:
+        raise BuildError('hnf_core/__init__.py holds no line __version__ = "x.y.z". Add it.')
+    return match.group(1)
+
+
+def requirements(source: dict[str, Any], target: Target) -> list[str]:
+    """The pinned wheels of one target. Raises BuildError for a Python or platform the source does not name."""
+    for table, key in (("python", target.python), ("platforms", target.platform)):
+        if key not in source[table]:
+            raise BuildError(f"addon_manifest.toml knows no {key}; it has {', '.join(source[table])}.")
+    return sorted(source["wheels"]["every_python"] + source["python"][target.python]["wheels"])
+
+
+def fetch_wheels(source: dict[str, Any], target: Target) -> list[Path]:
+    """The target's wheels, from build/wheels or the package index. Raises BuildError where pip finds none."""
+    wanted = requirements(source, target)
+    folder, stamp = WHEELS / target.tag, WHEELS / f"{target.tag}.stamp"
+    digest = hashlib.sha256("\n".join([*wanted, *source["platforms"][target.platform]]).encode()).hexdigest()
+    WHEELS.mkdir(parents=True, exist_ok=True)
+    with (WHEELS / f"{target.tag}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # test environments run side by side and share the folder
+        if not (stamp.is_file() and stamp.read_text(encoding="utf-8") == digest):
+            shutil.rmtree(folder, ignore_errors=True)
+            download(wanted, source["platforms"][target.platform], target.python, folder)
+            stamp.write_text(digest, encoding="utf-8")
+    wheels = sorted(folder.glob("*.whl"))
+    if len(wheels) != len(wanted):
+        raise BuildError(f"{folder} holds {len(wheels)} wheels where {len(wanted)} are wanted. Delete it and {stamp}.")
+    return wheels
+
+
+def download(wanted: list[str], platform_tags: list[str], python: str, folder: Path) -> None:
+    """pip download of exactly the wanted wheels for another Python and platform than this one."""
+    abi = "cp" + python.replace(".", "")
+    options = ["--no-deps", "--only-binary=:all:", "--implementation", "cp", "--python-version", python]
+    options += [word for tag in (abi, "abi3", "none") for word in ("--abi", tag)]
+    options += [word for tag in platform_tags for word in ("--platform", tag)]
+    command = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--no-input", "download", "-q", *options]
+    run = subprocess.run(
+        [*command, "-d", str(folder), *wanted], capture_output=True, text=True, timeout=900, stdin=subprocess.DEVNULL
+    )
+    if run.returncode != 0:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise BuildError(f"The wheels for Python {python} could not be downloaded:\n{run.stderr.strip()[-1500:]}")
+
+
+def toml_lines(table: dict[str, Any]) -> list[str]:
+    """`key = value` lines of a table of strings and lists of strings, whose JSON form is a TOML form too."""
+    return [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in table.items()]
+
+
+def manifest_text(source: dict[str, Any], target: Target, version: str, wheels: list[Path]) -> str:
+    """blender_manifest.toml of one target."""
+    fields = {key: value for key, value in source["manifest"].items() if not isinstance(value, dict)}
+    fields["version"] = version
+    fields |= {key: value for key, value in source["python"][target.python].items() if key.startswith("blender_")}
+    fields["platforms"] = [target.platform]
+    fields["wheels"] = [f"./wheels/{wheel.name}" for wheel in wheels]
+    tables = {key: value for key, value in source["manifest"].items() if isinstance(value, dict)}
+    lines = toml_lines(fields)
+    for name, table in tables.items():
+        lines += [
+            "",
+            f"[{name}]",
+            *(f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in table.items()),
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def stage(source: dict[str, Any], target: Target, version: str, folder: Path) -> None:
+    """Lay the extension out in `folder`: rewritten code, data files, licence, manifest, wheels."""
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(ROOT / "hnf_blender", folder, ignore=SKIPPED)
+    shutil.copytree(ROOT / "hnf_core", folder / "hnf_core", ignore=SKIPPED)
+    for path in sorted(folder.rglob("*.py")):
+        try:
+            rewrite_file(path, folder)
+        except ImportRewriteError as error:
+            raise BuildError(str(error)) from error
+    shutil.copy2(ROOT / "LICENSE", folder / "LICENSE")
+    wheels = fetch_wheels(source, target)
+    (folder / "wheels").mkdir()
+    for wheel in wheels:
+        shutil.copy2(wheel, folder / "wheels" / wheel.name)
+    text = manifest_text(source, target, version, wheels)
+    (folder / "blender_manifest.toml").write_text(text, encoding="utf-8")
+
+
+def blender_scripts() -> Path:
+    """Folder `scripts` of this Python's bpy, found without importing it. Raises BuildError where there is none."""
+    spec = importlib.util.find_spec("bpy")
+    if spec is None or not spec.submodule_search_locations:
+        raise BuildError("This Python has no bpy, whose extension tool builds the zip. Use .venv/bin/python.")
+    found = sorted(Path(spec.submodule_search_locations[0]).glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py"))
+    if not found:
+        raise BuildError("This bpy has no extension tool (blender_ext.py). Blender 4.2 or later is needed.")
+    return found[-1].parents[3]
+
+
+def run_blender_tool(verb: str, *arguments: str) -> str:
+    """Run Blender's extension tool; its output. Raises BuildError with what it said where it refuses."""
+    scripts = blender_scripts()
+    tool = scripts / "addons_core" / "bl_pkg" / "cli" / "blender_ext.py"
+    tags = scripts / "modules" / "_bpy_internal" / "extensions" / "tags.py"  # as Blender's own command line does
+    command = [sys.executable, str(tool), verb, *arguments, "--valid-tags", str(tags) if tags.is_file() else ""]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    if run.returncode != 0:
+        raise BuildError(f"Blender refuses the extension:\n{run.stdout}{run.stderr}")
+    return run.stdout
+
+
+def build(target: Target, out: Path, staging: Path = STAGING) -> Path:
+    """Build and validate one zip; its path. Raises BuildError."""
+    source, version = read_source(), project_version()
+    folder = staging / target.tag
+    stage(source, target, version, folder)
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / f"{source['manifest']['id']}-{version}-{target.tag}.zip"
+    run_blender_tool("build", "--source-dir", str(folder), "--output-filepath", str(path))
+    run_blender_tool("validate", str(path))
+    return path
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Build every Python × platform that is named; 1 with a clear line where one fails."""
+    parser = argparse.ArgumentParser(description="Build the Blender extension.")
+    parser.add_argument("--python", action="append", metavar="X.Y", help="Python of Blender (default 3.11)")
+    parser.add_argument("--platform", action="append", metavar="NAME", help="Blender's platform (default linux-x64)")
+    parser.add_argument("--out", type=Path, default=ROOT / "dist", metavar="DIR")
+    chosen = parser.parse_args(arguments)
+    for platform in chosen.platform or ["linux-x64"]:
+        for python in chosen.python or ["3.11"]:
+            try:
+                path = build(Target(python, platform), chosen.out)
+            except BuildError as error:
+                print(error, file=sys.stderr)
+                return 1
+            print(f"{path} ({path.stat().st_size / 1e6:.1f} MB)")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
