@@ -1,0 +1,165 @@
+"""The palette: the few distinct materials of a mesh, once each, so that faces need to carry an index only."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import FileError, MaterialError
+from ..files import content_hash
+from .mechanics import Mechanics
+from .token import ENCODER_ID, TOKEN_DIM
+
+PALETTE_SCHEMA = 1
+MERGE_TOLERANCE = 0.01
+"""Tokens merge where no feature differs by more: 0.01 of a level is 0.2 dB of height, well below what is felt."""
+MECHANICS_FIELDS = ("stiffness_n_m", "damping_ratio", "friction")
+_KIND = "hnf-palette"
+_REMEDY = "Bake the object again."
+
+
+@dataclass(frozen=True, eq=False)
+class Palette:
+    """tokens: (P, TOKEN_DIM) float32. mechanics, names: P each. schema: of the stored form. encoder_id: identity of
+    the E that wrote the tokens. Two palettes are equal when their contents are, bit for bit.
+
+    Raises MaterialError when the parts do not fit together or a token is not finite.
+    """
+
+    tokens: NDArray[np.float32]
+    mechanics: tuple[Mechanics, ...]
+    names: tuple[str, ...]
+    schema: int = PALETTE_SCHEMA
+    encoder_id: str = ENCODER_ID
+
+    def __post_init__(self) -> None:
+        if self.tokens.shape != (len(self.names), TOKEN_DIM) or len(self.mechanics) != len(self.names):
+            raise MaterialError(
+                f"a palette of {len(self.names)} names needs ({len(self.names)}, {TOKEN_DIM}) tokens and as many "
+                f"mechanics, not {self.tokens.shape} and {len(self.mechanics)}."
+            )
+        if self.tokens.dtype != np.float32 or not np.isfinite(self.tokens).all():
+            raise MaterialError("a palette's tokens must be finite float32 values.")
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Palette) and self.to_bytes() == other.to_bytes()
+
+    def __hash__(self) -> int:
+        return hash(self.content_hash)
+
+    @property
+    def content_hash(self) -> str:
+        """Hex digest of everything the palette says."""
+        facts, tokens, mechanics = self._parts()
+        return content_hash(json.dumps(facts, sort_keys=True), tokens, mechanics)
+
+    def to_bytes(self) -> bytes:
+        """The palette in the safetensors layout (no pickle), equal bytes for equal palettes, digest inside."""
+        facts, tokens, mechanics = self._parts()
+        header = {
+            "__metadata__": {**facts, "digest": self.content_hash},
+            "mechanics": {
+                "dtype": "F64",
+                "shape": [len(self), len(MECHANICS_FIELDS)],
+                "data_offsets": [0, len(mechanics)],
+            },
+            "tokens": {
+                "dtype": "F32",
+                "shape": [len(self), TOKEN_DIM],
+                "data_offsets": [len(mechanics), len(mechanics) + len(tokens)],
+            },
+        }
+        text = json.dumps(header, sort_keys=True).encode("utf-8")
+        text += b" " * (-len(text) % 8)
+        return len(text).to_bytes(8, "little") + text + mechanics + tokens
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Palette:
+        """The palette that to_bytes wrote. Raises FileError where the bytes are damaged, of another schema, or from
+        another encoder."""
+        try:
+            facts, tokens, table = _unpack(data)
+            schema, encoder = int(facts["schema"]), facts["encoder"]
+            names = tuple(str(name) for name in json.loads(facts["names"]))
+            mechanics = tuple(Mechanics(*(None if np.isnan(v) else float(v) for v in row)) for row in table)
+            palette = cls(tokens, mechanics, names, schema, encoder)
+            # One palette has one form: what would be written back must be what was read, digest included.
+            if palette.to_bytes() != bytes(data):
+                raise ValueError("its digest does not match its contents")
+        except (ValueError, KeyError, TypeError, RecursionError, MaterialError) as error:
+            raise FileError(f"the stored palette is damaged ({error}).", remedy=_REMEDY) from error
+        if schema != PALETTE_SCHEMA or encoder != ENCODER_ID:
+            raise FileError(
+                f"the stored palette has schema {schema} and encoder '{encoder}'; this version reads schema "
+                f"{PALETTE_SCHEMA} and '{ENCODER_ID}'.",
+                remedy=_REMEDY,
+            )
+        return palette
+
+    def _parts(self) -> tuple[dict[str, str], bytes, bytes]:
+        facts = {
+            "kind": _KIND,
+            "schema": str(self.schema),
+            "encoder": self.encoder_id,
+            "names": json.dumps(list(self.names)),
+        }
+        table = np.array(
+            [[_or_nan(getattr(entry, field)) for field in MECHANICS_FIELDS] for entry in self.mechanics], dtype="<f8"
+        ).reshape(len(self), len(MECHANICS_FIELDS))
+        return facts, self.tokens.astype("<f4").tobytes(), table.tobytes()
+
+
+def build_palette(
+    tokens: Sequence[NDArray[np.float32]],
+    mechanics: Sequence[Mechanics],
+    names: Sequence[str],
+    tolerance: float = MERGE_TOLERANCE,
+) -> tuple[Palette, NDArray[np.int32]]:
+    """A palette of n materials with near-equal ones merged, and the index (n,) int32 of each in it.
+
+    Two merge when name and mechanics are equal and no feature differs by more than tolerance from the first of them,
+    which is the one kept. The order of first appearance is kept, so equal input gives equal palettes.
+    """
+    kept: list[int] = []
+    index = np.empty(len(tokens), dtype=np.int32)
+    for i, token in enumerate(tokens):
+        for place, k in enumerate(kept):
+            same = names[k] == names[i] and mechanics[k] == mechanics[i]
+            if same and float(np.max(np.abs(tokens[k].astype(np.float64) - token))) <= tolerance:
+                index[i] = place
+                break
+        else:
+            index[i] = len(kept)
+            kept.append(i)
+    table = np.array([tokens[k] for k in kept], dtype=np.float32).reshape(len(kept), TOKEN_DIM)
+    return Palette(table, tuple(mechanics[k] for k in kept), tuple(names[k] for k in kept)), index
+
+
+def _or_nan(value: float | None) -> float:
+    return float("nan") if value is None else float(value)
+
+
+def _unpack(data: bytes) -> tuple[dict[str, str], NDArray[np.float32], NDArray[np.float64]]:
+    """Metadata, tokens (P, TOKEN_DIM) and mechanics (P, 3). Raises ValueError, KeyError or TypeError on damage."""
+    size = int.from_bytes(data[:8], "little")
+    if len(data) < 8 or size > len(data) - 8:
+        raise ValueError("it ends early")
+    header = json.loads(data[8 : 8 + size].decode("utf-8"))
+    facts = dict(header["__metadata__"])
+    if facts["kind"] != _KIND:
+        raise ValueError("it is something else")
+    body = data[8 + size :]
+    count = int(header["tokens"]["shape"][0])
+    middle = count * len(MECHANICS_FIELDS) * 8
+    if count < 0 or len(body) != middle + count * TOKEN_DIM * 4:
+        raise ValueError("its arrays have unexpected shapes")
+    table = np.frombuffer(body, dtype="<f8", count=count * len(MECHANICS_FIELDS)).reshape(count, len(MECHANICS_FIELDS))
+    values = np.frombuffer(body, dtype="<f4", offset=middle).reshape(count, TOKEN_DIM)
+    return facts, values.astype(np.float32), table.astype(np.float64)

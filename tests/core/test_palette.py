@@ -1,0 +1,96 @@
+"""The palette: one entry per distinct material, exact round trips, damage always noticed."""
+
+import numpy as np
+import pytest
+from hnf_core.errors import FileError, MaterialError
+from hnf_core.material.mechanics import UNKNOWN, Mechanics
+from hnf_core.material.palette import MERGE_TOLERANCE, Palette, build_palette
+from hnf_core.material.token import TOKEN_DIM
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+finite = st.floats(-100, 100, width=32)
+values = st.none() | st.floats(1e-3, 1e6)
+mechanics = st.builds(Mechanics, values, values, values)
+tokens = hnp.arrays(np.float32, TOKEN_DIM, elements=finite)
+entries = st.lists(st.tuples(tokens, mechanics, st.text(max_size=12)), max_size=5)
+
+
+def palette_of(items: list) -> tuple[Palette, np.ndarray]:
+    return build_palette([t for t, _, _ in items], [m for _, m, _ in items], [n for _, _, n in items])
+
+
+@settings(max_examples=40, deadline=None)
+@given(entries)
+def test_a_stored_palette_comes_back_equal(items):
+    palette, _ = palette_of(items)
+    again = Palette.from_bytes(palette.to_bytes())
+    assert again == palette
+    assert np.array_equal(again.tokens, palette.tokens)
+    assert (again.mechanics, again.names) == (palette.mechanics, palette.names)
+    assert again.content_hash == palette.content_hash
+
+
+@settings(max_examples=40, deadline=None)
+@given(entries)
+def test_every_index_leads_to_its_own_material_within_the_tolerance(items):
+    palette, index = palette_of(items + items)
+    assert np.array_equal(index[: len(items)], index[len(items) :])
+    for (token, contact, name), i in zip(items + items, index, strict=True):
+        assert (palette.names[i], palette.mechanics[i]) == (name, contact)
+        assert np.max(np.abs(palette.tokens[i].astype(float) - token), initial=0.0) <= MERGE_TOLERANCE
+
+
+@pytest.fixture()
+def pair() -> Palette:
+    rng = np.random.default_rng(0)
+    both = [rng.standard_normal(TOKEN_DIM).astype(np.float32) for _ in range(2)]
+    return build_palette(both, [Mechanics(1e4, 0.1), UNKNOWN], ["oak", "félt"])[0]
+
+
+def test_near_equal_tokens_merge_only_under_one_name_and_one_contact():
+    token = np.zeros(TOKEN_DIM, dtype=np.float32)
+    near, far = token + np.float32(0.5 * MERGE_TOLERANCE), token + np.float32(2 * MERGE_TOLERANCE)
+    stiff = Mechanics(1e5)
+    palette, index = build_palette(
+        [token, near, far, token, token], [UNKNOWN] * 4 + [stiff], ["oak", "oak", "oak", "ash", "oak"]
+    )
+    assert index.tolist() == [0, 0, 1, 2, 3]
+    assert palette.names == ("oak", "oak", "ash", "oak")
+
+
+def test_any_flipped_bit_and_any_lost_tail_is_noticed(pair):
+    data = pair.to_bytes()
+    for place in range(len(data)):
+        flipped = data[:place] + bytes([data[place] ^ 1]) + data[place + 1 :]
+        with pytest.raises(FileError, match="Bake the object again"):
+            Palette.from_bytes(flipped)
+    for end in range(0, len(data), 7):
+        with pytest.raises(FileError):
+            Palette.from_bytes(data[:end])
+    with pytest.raises(FileError):
+        Palette.from_bytes(data + b"\0")
+
+
+def test_another_encoder_or_schema_is_refused_by_name(pair):
+    other = Palette(pair.tokens, pair.mechanics, pair.names, encoder_id="alexnet-9")
+    with pytest.raises(FileError, match="alexnet-9"):
+        Palette.from_bytes(other.to_bytes())
+    later = Palette(pair.tokens, pair.mechanics, pair.names, schema=99)
+    with pytest.raises(FileError, match="schema 99"):
+        Palette.from_bytes(later.to_bytes())
+
+
+def test_other_programs_can_read_the_stored_form(pair):
+    arrays = pytest.importorskip("safetensors.numpy").load(pair.to_bytes())
+    assert np.array_equal(arrays["tokens"], pair.tokens)
+    assert arrays["mechanics"][0, 0] == 1e4
+    assert np.isnan(arrays["mechanics"][1]).all()
+
+
+def test_parts_that_do_not_fit_are_refused(pair):
+    with pytest.raises(MaterialError):
+        Palette(pair.tokens, pair.mechanics, ("one",))
+    with pytest.raises(MaterialError, match="finite"):
+        Palette(np.full_like(pair.tokens, np.nan), pair.mechanics, pair.names)
