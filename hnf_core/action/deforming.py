@@ -1,0 +1,103 @@
+"""Surfaces that change shape while they are touched."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..scene.mesh import TriangleMesh
+from ..scene.raycast import Closest
+from .nearest import gathered, nearest_on_triangles
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class DeformingMesh:
+    """A mesh whose vertices move and whose triangles stay.
+
+    mesh: its shape at rest. time: (F,) s ascending. vertices: (F, V, 3) m in the surface frame at those times;
+    between them Catmull-Rom in time, so that the surface's own speed has no steps; outside, the end shapes.
+    """
+
+    mesh: TriangleMesh
+    time: Float
+    vertices: NDArray[np.float64] | NDArray[np.float32]
+
+    def corners_at(self, time: float, triangle: Int | None = None) -> Float:
+        """Corner positions (T or n, 3, 3) at a time, of all or the given triangles."""
+        index = self.mesh.triangles if triangle is None else self.mesh.triangles[triangle]
+        frames, weights = self._blend(time)
+        return np.asarray(
+            sum(w * self.vertices[f][index].astype(np.float64) for f, w in zip(frames, weights, strict=True))
+        )
+
+    def nearest(self, time: Float, points: Float) -> tuple[Closest, Float, Float]:
+        """Closest material point of each sample (n,), (n, 3), at that sample's time: the hit, its triangle's corners
+        (n, 3, 3) at that time, and the velocity (n, 3) m/s of the material there."""
+        hits, corners = [], []
+        for t, point in zip(time, points, strict=True):
+            shape = self.corners_at(float(t))
+            hit = nearest_on_triangles(point[None], shape)
+            hits.append(hit)
+            corners.append(shape[hit.triangle])
+        hit = gathered(hits)
+        return hit, np.concatenate(corners), self._drift(time, hit)
+
+    def _drift(self, time: Float, hit: Closest) -> Float:
+        step = 1e-3
+        drift = np.empty((len(time), 3))
+        for i, t in enumerate(time):
+            before, after = max(float(t) - step, float(self.time[0])), min(float(t) + step, float(self.time[-1]))
+            if after <= before:
+                drift[i] = 0.0
+                continue
+            triangle = hit.triangle[i : i + 1]
+            change = self.corners_at(after, triangle) - self.corners_at(before, triangle)
+            drift[i] = hit.barycentric[i] @ change[0] / (after - before)
+        return drift
+
+    def _blend(self, time: float) -> tuple[list[int], list[float]]:
+        """Frames and weights of the Catmull-Rom spline on an uneven grid (cubic Hermite, central slopes)."""
+        count = len(self.time)
+        if count == 1 or time <= self.time[0]:
+            return [0], [1.0]
+        if time >= self.time[-1]:
+            return [count - 1], [1.0]
+        i = int(np.searchsorted(self.time, time, side="right")) - 1
+        width = self.time[i + 1] - self.time[i]
+        u = float((time - self.time[i]) / width)
+        h00, h10 = (1 + 2 * u) * (1 - u) ** 2, u * (1 - u) ** 2
+        h01, h11 = u * u * (3 - 2 * u), u * u * (u - 1)
+        weights = dict.fromkeys(range(max(i - 1, 0), min(i + 3, count)), 0.0)
+        weights[i] += h00
+        weights[i + 1] += h01
+        for knot, share in ((i, h10), (i + 1, h11)):
+            low, high = max(knot - 1, 0), min(knot + 1, count - 1)
+            slope = share * float(width / (self.time[high] - self.time[low]))
+            weights[high] += slope
+            weights[low] -= slope
+        return list(weights), list(weights.values())
+
+
+def carried_normals(mesh: TriangleMesh, triangle: Int, corners: Float) -> Float:
+    """Corner normals (n, 3, 3) of triangles whose corners moved to (n, 3, 3): normals go with the inverse transpose
+    of each triangle's deformation gradient."""
+    rest, moved = _frames(mesh.vertices[mesh.triangles[triangle]]), _frames(corners)
+    good = (np.abs(np.linalg.det(rest)) > 1e-30) & (np.abs(np.linalg.det(moved)) > 1e-30)
+    identity = np.eye(3)
+    rest, moved = np.where(good[:, None, None], rest, identity), np.where(good[:, None, None], moved, identity)
+    gradient = moved @ np.linalg.inv(rest)
+    carried = np.einsum("nyx,ncy->ncx", np.linalg.inv(gradient), mesh.normals[triangle])
+    return np.asarray(carried / np.linalg.norm(carried, axis=2, keepdims=True))
+
+
+def _frames(corners: Float) -> Float:
+    """Edge, edge and normal as the columns of (n, 3, 3)."""
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = np.cross(first, second)
+    size = np.sqrt(np.maximum(np.linalg.norm(normal, axis=1), 1e-300))
+    return np.stack([first, second, normal / size[:, None]], axis=2)

@@ -1,0 +1,67 @@
+"""The nearest point of a triangle mesh, exact in float64, in plain numpy."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..scene.raycast import Closest, closest_barycentric
+
+Float = NDArray[np.float64]
+Int = NDArray[np.intp]
+
+_SAMPLE = 2048
+_CHUNK = 4_000_000
+"""Point–triangle pairs looked at together; bounds the memory to some 100 MB."""
+
+
+def nearest_on_triangles(points: Float, corners: Float) -> Closest:
+    """Nearest point of triangles (T, 3, 3) to each point (n, 3); of equally near triangles the first.
+
+    A triangle is looked at only if its bounding sphere may hold something nearer than the nearest centroid.
+    """
+    centre = corners.mean(axis=1)
+    radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
+    near = _around(points, corners, centre)
+    centre, radius = centre[near], radius[near]
+    step = max(1, _CHUNK // max(1, len(near)))
+    parts = [_nearest_of(points[i : i + step], corners, near, centre, radius) for i in range(0, len(points), step)]
+    return gathered(parts)
+
+
+def gathered(parts: list[Closest]) -> Closest:
+    """One Closest of several, in order."""
+    return Closest(
+        np.concatenate([part.triangle for part in parts]),
+        np.concatenate([part.barycentric for part in parts]),
+        np.concatenate([part.position for part in parts]),
+        np.concatenate([part.distance for part in parts]),
+    )
+
+
+def _around(points: Float, corners: Float, centre: Float) -> Int:
+    """Triangles whose box meets the points' box, widened by a bound on the largest distance."""
+    if len(corners) <= _SAMPLE:
+        return np.arange(len(corners), dtype=np.intp)
+    some = centre[:: len(centre) // _SAMPLE + 1]
+    bound = max(float(np.sqrt(((some - p) ** 2).sum(axis=1).min())) for p in points)
+    low, high = points.min(axis=0) - bound, points.max(axis=0) + bound
+    inside = (corners.min(axis=1) <= high) & (corners.max(axis=1) >= low)
+    return np.flatnonzero(inside.all(axis=1))
+
+
+def _nearest_of(points: Float, corners: Float, near: Int, centre: Float, radius: Float) -> Closest:
+    squared = (points**2).sum(axis=1)[:, None] - 2.0 * points @ centre.T + (centre**2).sum(axis=1)
+    slack = 1e-12 * (1.0 + float(np.abs(centre).max(initial=0.0)) ** 2)
+    distance = np.sqrt(np.maximum(squared, 0.0) + slack)
+    who, which = np.nonzero(distance - radius <= distance.min(axis=1, keepdims=True) + 2.0 * np.sqrt(slack))
+    triangle = near[which]
+    barycentric = closest_barycentric(corners[triangle], points[who])
+    found = np.einsum("nc,ncx->nx", barycentric, corners[triangle])
+    gap = np.linalg.norm(found - points[who], axis=1)
+    least = np.full(len(points), np.inf)
+    np.minimum.at(least, who, gap)
+    # Across a shared edge rounding decides; a tie of a nanometre goes to the lower index instead.
+    good = np.flatnonzero(gap <= least[who] + 1e-9)
+    first = good[np.unique(who[good], return_index=True)[1]]
+    return Closest(triangle[first].astype(np.int32), barycentric[first], found[first], gap[first])

@@ -1,0 +1,97 @@
+"""When the hand is where: keyed progress, a constant speed or a duration become s(t) and its rate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import StrokeError
+from .keys import eased_travel
+
+Float = NDArray[np.float64]
+
+RAMP_S = 0.1
+"""S-ramp at both ends of a speed or duration law: a hand neither starts nor stops at once."""
+MAX_DURATION_S = 600.0
+
+
+@dataclass(frozen=True)
+class Motion:
+    """position: (n,) m along the curve. velocity: (n,) m/s, its rate; negative where the stroke runs backward."""
+
+    position: Float
+    velocity: Float
+
+
+def time_grid(duration_s: float, rate: float, *, where: str = "") -> Float:
+    """Even times 0, 1/rate, … that reach duration_s (the last sample lies at or after it).
+
+    Raises StrokeError for a duration that is not positive, or beyond ten minutes.
+    """
+    if not duration_s > 0.0:
+        raise StrokeError(
+            "the stroke lasts no time.",
+            where=where,
+            remedy="Set keyframes of progress or force at two different frames, or use the speed or duration law.",
+        )
+    if not duration_s <= MAX_DURATION_S:
+        raise StrokeError(
+            f"the stroke lasts {duration_s:g} s, and {MAX_DURATION_S:g} s is the most.",
+            where=where,
+            remedy="Move its last keyframe closer or raise its speed.",
+        )
+    return np.arange(int(np.ceil(duration_s * rate - 1e-6)) + 1) / rate
+
+
+def checked_force(force: ArrayLike, frames: ArrayLike, *, where: str) -> Float:
+    """Normal force (n,) N clamped to ≥ 0, since F-curve handles overshoot.
+
+    Raises StrokeError naming the stroke and the first frame whose value is not finite.
+    """
+    return np.maximum(_finite(force, frames, "force", where), 0.0)
+
+
+def checked_progress(progress: ArrayLike, frames: ArrayLike, *, where: str) -> Float:
+    """Progress (n,) clamped to 0–1; raises StrokeError like checked_force."""
+    return np.clip(_finite(progress, frames, "progress", where), 0.0, 1.0)
+
+
+def _finite(values: ArrayLike, frames: ArrayLike, name: str, where: str) -> Float:
+    array = np.asarray(values, dtype=np.float64)
+    broken = np.flatnonzero(~np.isfinite(array))
+    if len(broken):
+        frame = float(np.asarray(frames, dtype=np.float64)[broken[0]])
+        raise StrokeError(
+            f"{name} is not a number at frame {frame:g}.",
+            where=where,
+            remedy="Delete or correct the keyframe there in the Graph Editor.",
+        )
+    return array
+
+
+def motion_from_progress(progress: Float, length_m: float, rate: float) -> Motion:
+    """Progress samples (n,) in 0–1 of a curve's length; velocity by second-order differences, so that a knot of the
+    curve, which arc length does not feel, makes no spike."""
+    position = progress * length_m
+    if len(position) < 3:
+        return Motion(position, np.gradient(position, 1.0 / rate) if len(position) > 1 else np.zeros(len(position)))
+    return Motion(position, np.gradient(position, 1.0 / rate, edge_order=2))
+
+
+def motion_at_speed(time: Float, length_m: float, speed_m_s: float) -> Motion:
+    """From end to end at constant speed with eased ends, from time 0."""
+    if length_m == 0.0:
+        return Motion(np.zeros(len(time)), np.zeros(len(time)))
+    return Motion(*eased_travel(length_m, speed_m_s, RAMP_S).sample(time))
+
+
+def travel_time(length_m: float, speed_m_s: float) -> float:
+    """Seconds that motion_at_speed takes."""
+    return length_m / speed_m_s + min(RAMP_S, length_m / speed_m_s)
+
+
+def speed_for_duration(length_m: float, duration_s: float) -> float:
+    """The constant speed whose eased travel takes duration_s: travel_time(length, result) = duration."""
+    return length_m / (duration_s - min(RAMP_S, duration_s / 2.0))
