@@ -1,0 +1,204 @@
+"""The house keeps its shape: who may import whom, what is never used, and how large a file may grow.
+
+Every rule is a function from one file's syntax tree to the lines that break it; each is first shown to catch a breach.
+"""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from relative_imports import rewrite
+
+ROOT = Path(__file__).resolve().parents[2]
+CORE, BRIDGE = ROOT / "hnf_core", ROOT / "hnf_blender"
+LINE_LIMIT = 400
+
+# docs/architecture.md: a room may use the rooms of a lower floor only. Rooms of one floor do not know each other.
+FLOORS = (
+    ("errors",),
+    ("units", "files", "signal"),
+    ("scene",),
+    ("tactile",),
+    ("action", "material"),
+    ("field",),
+    ("simulation",),
+    ("training",),
+    ("export",),
+    ("cli",),
+)
+FLOOR_OF = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
+
+BLENDER_MODULES = {"bpy", "bpy_extras", "bmesh", "mathutils", "gpu", "addon_utils", "hnf_blender"}
+TRAINING_MODULES = {"torch", "scipy", "torchvision"}
+UNSAFE_MODULES = {"pickle", "cPickle", "dill", "joblib", "marshal", "shelve", "cloudpickle"}
+UNSAFE_CALLS = {"eval", "exec"}
+
+Rule = Callable[[Path, ast.Module], list[str]]
+
+
+def python_files(*folders: Path) -> list[Path]:
+    return sorted(path for folder in folders for path in folder.rglob("*.py") if "__pycache__" not in path.parts)
+
+
+def absolute_imports(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """(line, top-level module) of every absolute import, at module level or inside a function."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name.partition(".")[0]) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            yield node.lineno, (node.module or "").partition(".")[0]
+
+
+def rooms_used(path: Path, tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """(line, room) of every relative import in a file of hnf_core."""
+    here = path.relative_to(CORE).with_suffix("").parts
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.level > 0:
+            base = here[: len(here) - node.level]
+            names = [node.module] if node.module else [alias.name for alias in node.names]
+            yield from ((node.lineno, (*base, *name.split("."))[0]) for name in names)
+
+
+def knows_blender(path: Path, tree: ast.Module) -> list[str]:
+    return [f"line {line}: {name}" for line, name in absolute_imports(tree) if name in BLENDER_MODULES]
+
+
+def uses_training_modules_elsewhere(path: Path, tree: ast.Module) -> list[str]:
+    if path.is_relative_to(CORE / "training"):
+        return []
+    return [f"line {line}: {name}" for line, name in absolute_imports(tree) if name in TRAINING_MODULES]
+
+
+def imports_itself_absolutely(path: Path, tree: ast.Module) -> list[str]:
+    return [f"line {line}: {name}" for line, name in absolute_imports(tree) if name == "hnf_core"]
+
+
+def looks_upstairs(path: Path, tree: ast.Module) -> list[str]:
+    room = path.relative_to(CORE).with_suffix("").parts[0]
+    if room == "__init__":
+        return [f"line {line}: {used}" for line, used in rooms_used(path, tree)]
+    return [
+        f"line {line}: {room} uses {used}"
+        for line, used in rooms_used(path, tree)
+        if used not in (room, "__version__") and FLOOR_OF[used] >= FLOOR_OF[room]
+    ]
+
+
+def is_unsafe(path: Path, tree: ast.Module) -> list[str]:
+    found = [f"line {line}: {name}" for line, name in absolute_imports(tree) if name in UNSAFE_MODULES]
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Call):
+            continue
+        if isinstance(node.func, ast.Name) and node.func.id in UNSAFE_CALLS:
+            found.append(f"line {node.lineno}: {node.func.id}()")
+        if isinstance(node.func, ast.Attribute) and ast.unparse(node.func) == "torch.load":
+            found.append(f"line {node.lineno}: torch.load unpickles; use safetensors")
+        found += [
+            f"line {node.lineno}: allow_pickle"
+            for word in node.keywords
+            if word.arg == "allow_pickle" and not (isinstance(word.value, ast.Constant) and word.value.value is False)
+        ]
+    return found
+
+
+def asks_for_the_version(path: Path, tree: ast.Module) -> list[str]:
+    if path == BRIDGE / "compat.py":
+        return []
+    return [
+        f"line {node.lineno}: {ast.unparse(node)}"
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute) and ast.unparse(node).startswith("bpy.app.version")
+    ]
+
+
+def breaches(rule: Rule, *folders: Path) -> list[str]:
+    return [
+        f"{path.relative_to(ROOT)} {found}"
+        for path in python_files(*folders)
+        for found in rule(path, ast.parse(path.read_text(encoding="utf-8")))
+    ]
+
+
+@pytest.mark.parametrize(
+    ("rule", "folders"),
+    [
+        (knows_blender, (CORE,)),
+        (uses_training_modules_elsewhere, (CORE, BRIDGE)),
+        (imports_itself_absolutely, (CORE,)),
+        (looks_upstairs, (CORE,)),
+        (is_unsafe, (CORE, BRIDGE, ROOT / "tools", ROOT / "tests")),
+        (asks_for_the_version, (BRIDGE,)),
+    ],
+)
+def test_no_file_breaks_the_rule(rule: Rule, folders: tuple[Path, ...]) -> None:
+    assert python_files(*folders)
+    assert breaches(rule, *folders) == []
+
+
+@pytest.mark.parametrize(
+    ("rule", "where", "source"),
+    [
+        (knows_blender, "scene/x.py", "def f():\n    import bpy.types"),
+        (knows_blender, "scene/x.py", "from mathutils import Vector"),
+        (uses_training_modules_elsewhere, "field/x.py", "def f():\n    from scipy.signal import lfilter"),
+        (imports_itself_absolutely, "field/x.py", "from hnf_core.units import G"),
+        (looks_upstairs, "scene/x.py", "from ..tactile.tactile_map import TactileMap"),
+        (looks_upstairs, "scene/x.py", "from .. import cli"),
+        (looks_upstairs, "action/x.py", "from ..material import token"),
+        (looks_upstairs, "errors.py", "from .files import write_text"),
+        (is_unsafe, "files.py", "import pickle"),
+        (is_unsafe, "files.py", "value = eval('1')"),
+        (is_unsafe, "files.py", "np.load('x', allow_pickle=True)"),
+        (is_unsafe, "training/x.py", "torch.load('x')"),
+        (asks_for_the_version, "x.py", "if bpy.app.version >= (5, 0, 0): pass"),
+    ],
+)
+def test_the_rule_catches_a_breach(rule: Rule, where: str, source: str) -> None:
+    assert rule(CORE / where, ast.parse(source)) != []
+
+
+def test_every_room_stands_on_a_floor() -> None:
+    rooms = {path.relative_to(CORE).with_suffix("").parts[0] for path in python_files(CORE)} - {"__init__"}
+    assert rooms <= set(FLOOR_OF)
+
+
+def test_bridge_imports_can_move_into_the_extension() -> None:
+    files = python_files(BRIDGE)
+    assert files
+    for path in files:
+        level = len(path.relative_to(BRIDGE).parts)
+        rewrite(path.read_text(encoding="utf-8"), level, str(path.relative_to(ROOT)))
+
+
+def test_every_folder_with_code_is_a_package() -> None:
+    folders = {path.parent for path in python_files(CORE, BRIDGE)}
+    assert [str(folder) for folder in sorted(folders) if not (folder / "__init__.py").is_file()] == []
+
+
+def test_no_file_is_too_long() -> None:
+    files = python_files(CORE, BRIDGE, ROOT / "tools", ROOT / "tests")
+    long = {str(path.relative_to(ROOT)): len(path.read_text(encoding="utf-8").splitlines()) for path in files}
+    assert {name: lines for name, lines in long.items() if lines > LINE_LIMIT} == {}
+
+
+def test_importing_the_core_loads_numpy_and_nothing_heavier() -> None:
+    """In a fresh process: every module of hnf_core but training, then a look at what has been loaded."""
+    modules = [
+        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        for path in python_files(CORE)
+        if not path.is_relative_to(CORE / "training")
+    ]
+    heavy = ["bpy", "torch", "scipy", "matplotlib", "OpenEXR", "embreex", "safetensors"]
+    code = (
+        "import importlib, sys\n"
+        f"for name in {modules!r}: importlib.import_module(name)\n"
+        f"print(sorted(set({heavy!r}) & set(sys.modules)), 'numpy' in sys.modules)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.strip() == "[] True"
