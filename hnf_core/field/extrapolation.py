@@ -1,0 +1,52 @@
+"""How far a stroke leaves what the field was trained on: said in words, never clamped."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..action.action import Action
+from ..material.token import TOKEN_NAMES
+from .field import Field
+from .stroke import StrokeInput
+
+SLACK = 1.05
+SLOW_SHARE = 0.25
+"""Every stroke starts and ends slowly and lightly; only more than this share of it is worth a word."""
+UNTRAINED = 0.2
+
+
+def examine(field: Field, stroke: StrokeInput, action: Action) -> tuple[float, tuple[str, ...]]:
+    """Confidence 0 … 1 and warnings, from speed, force and tokens against field.ranges."""
+    ranges = field.ranges
+    if ranges is None:
+        return UNTRAINED, ("The field is not trained.",)
+    factors, warnings = [1.0], []
+    touching = action.contact & (action.force > 0.0)
+    moving = touching & (action.speed > 1e-4)
+    if not touching.any():
+        return 1.0, ("The stroke never touches anything: the signal is silent.",)
+    for name, unit, scale, values, limits in (
+        ("speed", "mm/s", 1e3, action.speed[moving], ranges.speed),
+        ("force", "N", 1.0, action.force[touching], ranges.force),
+    ):
+        if len(values) == 0:
+            continue
+        span = f"{limits[0] * scale:g}–{limits[1] * scale:g} {unit}"
+        if values.max() > limits[1] * SLACK:
+            factors.append(limits[1] / float(values.max()))
+            warnings.append(f"{name.capitalize()} reaches {values.max() * scale:.3g} {unit}, trained on {span}.")
+        if np.mean(values < limits[0] / SLACK) > SLOW_SHARE:
+            factors.append(0.8)
+            warnings.append(f"{name.capitalize()} stays below {limits[0] * scale:g} {unit}, trained on {span}.")
+    for index in np.unique(stroke.token_index[stroke.action.contact]):
+        token = stroke.tokens[index]
+        span_width = np.maximum(ranges.token_high - ranges.token_low, 1e-3)
+        excess = np.maximum(ranges.token_low - token, token - ranges.token_high) / span_width
+        worst = int(np.argmax(excess))
+        if excess[worst] > SLACK - 1.0:
+            factors.append(float(1.0 / (1.0 + excess[worst])))
+            warnings.append(
+                f"Material {int(index)}: {TOKEN_NAMES[worst]} = {token[worst]:.3g} lies outside the "
+                f"{ranges.token_low[worst]:.3g} … {ranges.token_high[worst]:.3g} of training."
+            )
+    return float(np.prod(factors)), tuple(warnings)

@@ -1,0 +1,176 @@
+"""F_Θ(m, u) → (α, σΔt): a conditioned ReLU network with one linear head for each, and its accumulation over states.
+
+Haptic Neural Fields (CVPR 2026): L layers of H units, α and σ heads of N values. Here α holds an amplitude per
+carrier, σΔt is what the σ head gives (in seconds Σw would start at 3.5e-4 and training stall), and the N states may be
+past states u(t − nΔ), which unlike N heads of one state carry memory. The published form is
+FieldConfig.published().
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..action.action import ACTION_RATE_HZ
+from .carriers import Carriers
+from .features import Condition, build_inputs, input_size
+from .rendering import render_weights
+
+Float = NDArray[np.float64]
+
+LOG_AMPLITUDE_CEILING = 6.0
+"""exp of it is 400 m/s² in one band: far above any touch, far below overflow."""
+
+
+@dataclass(frozen=True)
+class FieldConfig:
+    """Architecture.
+
+    hidden, layers: H and L. states: N. accumulation: "past" = N past states, spacing_s apart, sharing one α head;
+    "heads" = N heads of one state (published), whose carriers lag n Δt. emission: "log" = α is an amplitude exp(head);
+    "linear" = α is the head (published). physics: add the linear contact to the inputs and, per carrier and weighted
+    by a learned skip, to the log-amplitude head.
+    """
+
+    hidden: int = 256
+    layers: int = 4
+    states: int = 5
+    accumulation: Literal["past", "heads"] = "past"
+    spacing_s: float = 0.01
+    carriers: Carriers = field(default_factory=Carriers)
+    emission: Literal["log", "linear"] = "log"
+    physics: bool = True
+
+    @staticmethod
+    def published(hidden: int = 1024, layers: int = 4, states: int = 5) -> FieldConfig:
+        """The paper's literal model: N heads, one constant carrier."""
+        constant = Carriers(time_edges_hz=(), arc_octaves=0, constant=True)
+        return FieldConfig(hidden, layers, states, "heads", 0.0, constant, "linear", False)
+
+    @property
+    def alpha_heads(self) -> int:
+        return self.states if self.accumulation == "heads" else 1
+
+    @property
+    def stride(self) -> int:
+        """Action samples between neighbouring past states."""
+        return round(self.spacing_s * ACTION_RATE_HZ)
+
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Name and shape of every parameter; weight matrices are (outputs, inputs)."""
+        width = input_size(self.carriers, self.physics)
+        shapes: dict[str, tuple[int, ...]] = {}
+        for layer in range(self.layers):
+            shapes[f"layer{layer}.weight"] = (self.hidden, width if layer == 0 else self.hidden)
+            shapes[f"layer{layer}.bias"] = (self.hidden,)
+        outputs = self.alpha_heads * self.carriers.count
+        shapes["alpha.weight"], shapes["alpha.bias"] = (outputs, self.hidden), (outputs,)
+        shapes["sigma.weight"], shapes["sigma.bias"] = (self.states, self.hidden), (self.states,)
+        if self.physics:
+            shapes["skip"] = (self.carriers.count,)
+        return shapes
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """What a field has seen in training. speed, force: (low, high), m/s and N. token_low, token_high: (TOKEN_DIM,)."""
+
+    speed: tuple[float, float]
+    force: tuple[float, float]
+    token_low: NDArray[np.float32]
+    token_high: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Field:
+    """Architecture, parameters (float32, by name as in FieldConfig.shapes), training ranges, metadata, and identity
+    (content hash of the weights)."""
+
+    config: FieldConfig
+    parameters: Mapping[str, NDArray[np.float32]]
+    ranges: Ranges | None = None
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    identity: str = "untrained"
+
+
+@dataclass(frozen=True)
+class Emission:
+    """alpha: (n, heads, K), 0 at rest and out of contact. sigma_dt: (n, N) ≥ 0."""
+
+    alpha: Float
+    sigma_dt: Float
+
+
+def evaluate(model: Field, condition: Condition) -> Emission:
+    """F_Θ at each of n states, in float32 products (as the torch twin)."""
+    config, weights = model.config, model.parameters
+    inputs = build_inputs(condition, config.carriers, config.physics)
+    hidden = inputs.x.astype(np.float32)
+    for layer in range(config.layers):
+        hidden = np.maximum(hidden @ weights[f"layer{layer}.weight"].T + weights[f"layer{layer}.bias"], 0.0)
+    head = (hidden @ weights["alpha.weight"].T + weights["alpha.bias"]).astype(np.float64)
+    alpha = head.reshape(len(head), config.alpha_heads, config.carriers.count)
+    if config.physics:
+        alpha = alpha + (weights["skip"] * inputs.prior)[:, None, :]
+    if config.emission == "log":
+        alpha = np.exp(np.minimum(alpha, LOG_AMPLITUDE_CEILING))
+    sigma = hidden @ weights["sigma.weight"].T + weights["sigma.bias"]
+    sigma_dt = np.logaddexp(0.0, sigma.astype(np.float64))
+    return Emission(alpha * inputs.gate[:, None, :], sigma_dt)
+
+
+def accumulate(config: FieldConfig, emission: Emission) -> Float:
+    """Amplitudes (n, heads, K) of the carriers at each state of an evenly sampled action.
+
+    "past": Σ_n w_n α(u_{i − n·stride}) with σ_n of that same past state, (n, 1, K); before the first sample nothing was
+    emitted. "heads": w_n α_n of each state, left apart because their carriers lag by n Δt.
+    """
+    if config.accumulation == "heads":
+        return np.asarray(render_weights(emission.sigma_dt)[:, :, None] * emission.alpha)
+    alpha, sigma_dt = past_states(emission.alpha[:, 0], emission.sigma_dt, config.stride)
+    return np.asarray(np.einsum("in,ink->ik", render_weights(sigma_dt), alpha)[:, None, :])
+
+
+def past_states(alpha: Float, sigma_dt: Float, stride: int) -> tuple[Float, Float]:
+    """alpha (n, K), sigma_dt (n, N) → α(u_{i−jS}) (n, N, K) and σ_j(u_{i−jS}) (n, N), j = 0 … N − 1.
+
+    Before the first sample α is 0 and σ that of the first state.
+    """
+    count, states = sigma_dt.shape
+    source = np.arange(count)[:, None] - stride * np.arange(states)[None, :]
+    before = source < 0
+    source = np.maximum(source, 0)
+    emitted = np.where(before[..., None], 0.0, alpha[source])
+    return emitted, sigma_dt[source, np.arange(states)[None, :]]
+
+
+def steady_amplitude(config: FieldConfig, emission: Emission) -> Float:
+    """Amplitudes (n, heads, K) when each state has lasted for longer than the memory."""
+    return (
+        np.asarray(render_weights(emission.sigma_dt)[:, : config.states, None] * emission.alpha)
+        if (config.accumulation == "heads")
+        else np.asarray(render_weights(emission.sigma_dt).sum(axis=1)[:, None, None] * emission.alpha)
+    )
+
+
+def initial_parameters(config: FieldConfig, seed: int) -> dict[str, NDArray[np.float32]]:
+    """He initialisation (He et al. 2015, eq. 10) of the layers; heads start at 0 where physics gives the level, so an
+    untrained field is the linear contact. σΔt starts at softplus(0) = 0.69: half the weight on the nearest state."""
+    generator = np.random.Generator(np.random.Philox(key=seed))
+    parameters: dict[str, NDArray[np.float32]] = {}
+    for name, shape in config.shapes().items():
+        if name == "skip":
+            value = np.ones(shape)
+        elif name.endswith("bias"):
+            value = np.zeros(shape)
+        elif name.startswith("layer"):
+            value = generator.standard_normal(shape) * np.sqrt(2.0 / shape[1])
+        else:
+            gain = 0.0 if config.physics else 1.0
+            value = gain * generator.standard_normal(shape) * np.sqrt(1.0 / shape[1])
+        parameters[name] = value.astype(np.float32)
+    return parameters

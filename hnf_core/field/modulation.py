@@ -1,0 +1,110 @@
+"""Slow amplitudes times fast carriers, cross-faded from one state of the action to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .carriers import ARC_PER_OCTAVE, Carriers
+from .timeline import SAMPLES_PER_STATE
+
+Float = NDArray[np.float64]
+ArcSource = Callable[[int, int, int], Float]
+"""(octave, start, count) → (24, count): band signals of an octave on its spatial grid."""
+
+_TAPS = 4
+"""Of the cubic interpolation between spatial samples."""
+
+
+def interpolate(amplitude: Float, start: int, count: int) -> Float:
+    """Linear interpolation of (n, K) state amplitudes at samples start … of the model rate; (count, K)."""
+    state, share = _place(len(amplitude), start, count)
+    return np.asarray(amplitude[state] * (1.0 - share)[:, None] + amplitude[state + 1] * share[:, None])
+
+
+def time_term(amplitude: Float, carriers: Carriers, seed: int, start: int, count: int, delay: int = 0) -> Float:
+    """Σ_k A_k(t) c_k(t − delay) over the time carriers; amplitude (n, Kt), returns (count,)."""
+    out = np.zeros(count)
+    state, share = _place(len(amplitude), start, count)
+    for first, last in _loud_stretches(amplitude, state):
+        wave = carriers.time_samples(seed, start + first - delay, last - first)
+        stretch = slice(first, last)
+        # Grouped by state, A is constant: two small products in place of one amplitude per sample and band.
+        for low in range(int(state[first]), int(state[last - 1]) + 1):
+            inside = slice(*np.searchsorted(state[stretch], (low, low + 1)))
+            pair = amplitude[low : low + 2] @ wave[:, inside]
+            fade = share[stretch][inside]
+            out[stretch][inside] = pair[0] * (1.0 - fade) + pair[1] * fade
+    return out
+
+
+def arc_term(amplitude: Float, carriers: Carriers, source: ArcSource, place: Float, start: int) -> Float:
+    """Σ_k A_k(t) c_k(s(t)) over the arc carriers.
+
+    amplitude: (n, Ka). place: (count,) s at samples start … of the model rate, in metres. Per state the bands of an
+    octave are first summed on the few spatial samples that the state's 5 ms cover, then read at s(t) once by cubic
+    Lagrange interpolation: K bands cost as one.
+    """
+    count = len(place)
+    out = np.zeros(count)
+    state, share = _place(len(amplitude), start, count)
+    for octave in range(carriers.arc_octaves):
+        bands = slice(octave * ARC_PER_OCTAVE, (octave + 1) * ARC_PER_OCTAVE)
+        for first, last in _loud_stretches(amplitude[:, bands], state):
+            stretch = slice(first, last)
+            out[stretch] += _octave_term(
+                amplitude[:, bands], carriers.arc_step_m(octave), octave, source, place[stretch],
+                state[stretch], share[stretch],
+            )  # fmt: skip
+    return out
+
+
+def _octave_term(
+    amplitude: Float, step: float, octave: int, source: ArcSource, place: Float, state: NDArray[np.intp], share: Float
+) -> Float:
+    cell = np.floor(place / step).astype(np.int64)
+    t = place / step - cell
+    # Per state: the span of cells it covers, with the taps' margins.
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(state) != 0]))
+    low = np.minimum.reduceat(cell, starts) - 1
+    length = np.maximum.reduceat(cell, starts) + 2 - low + 1
+    offset = np.concatenate([[0], np.cumsum(length)])
+    group = np.repeat(np.arange(len(starts)), np.diff(np.concatenate([starts, [len(place)]])))
+    owner = np.repeat(np.arange(len(starts)), length)
+    grid = np.arange(offset[-1]) - offset[owner] + low[owner]
+    origin = int(grid.min())
+    waves = source(octave, origin, int(grid.max()) - origin + 1).T[grid - origin]
+    here = np.einsum("pk,pk->p", amplitude[state[starts]][owner], waves)
+    after = np.einsum("pk,pk->p", amplitude[state[starts] + 1][owner], waves)
+    first_tap = offset[group] + (cell - 1 - low[group])
+    weights = _lagrange(t)
+    total = np.zeros(len(place))
+    for tap in range(_TAPS):
+        total += weights[tap] * (here[first_tap + tap] * (1.0 - share) + after[first_tap + tap] * share)
+    return total
+
+
+def _lagrange(t: Float) -> tuple[Float, Float, Float, Float]:
+    """Weights of samples −1, 0, 1, 2 at t in 0 … 1."""
+    return (
+        -t * (t - 1.0) * (t - 2.0) / 6.0,
+        (t + 1.0) * (t - 1.0) * (t - 2.0) / 2.0,
+        -(t + 1.0) * t * (t - 2.0) / 2.0,
+        (t + 1.0) * t * (t - 1.0) / 6.0,
+    )
+
+
+def _place(states: int, start: int, count: int) -> tuple[NDArray[np.intp], Float]:
+    sample = start + np.arange(count)
+    state = np.clip(sample // SAMPLES_PER_STATE, 0, states - 2)
+    return state, np.clip(sample / SAMPLES_PER_STATE - state, 0.0, 1.0)
+
+
+def _loud_stretches(amplitude: Float, state: NDArray[np.intp]) -> list[tuple[int, int]]:
+    """Sample ranges in which an amplitude is not zero: nothing is computed where there is no contact."""
+    loud = np.any(amplitude != 0.0, axis=1)
+    active = np.concatenate([[False], loud[state] | loud[state + 1], [False]])
+    edges = np.flatnonzero(np.diff(active.astype(np.int8)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -1,0 +1,160 @@
+"""The surface's own height under the path as one more carrier, without counting anything twice.
+
+F_Θ predicts the whole power S(f; m, u). The profile, sent through the same linear contact, has the expected power S_p.
+Per arc-length band its amplitude is scaled by g, g² = min(1, S / S_p), and the noise carriers keep
+max(S − g² S_p, 0) / S of their power: the sum is S again. S_p is the profile's *stationary* spectrum, read where
+nothing special happens, so that a seam is not mistaken for texture and stays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .carriers import ARC_PER_OCTAVE, Carriers
+from .features import SPEED_FLOOR_M_S, Condition, contact_band_power
+from .stroke import HeightProfile
+from .timeline import cubic
+
+Float = NDArray[np.float64]
+
+SEAM_RATIO = 6.0
+"""A stretch with more than this times the median power of its octave is an event, not texture."""
+_MIN_STRETCHES = 8
+_MAX_EVENTS = 0.15
+
+
+@dataclass(frozen=True)
+class ProfileBands:
+    """The profile split into the arc-length bands.
+
+    waves: per octave (24, m_o) float32 metres on the octave's spatial grid. first: per octave the grid index of the
+    first sample. power: (Ka,) m² stationary power per band. octaves: how many are resolved; above, nothing.
+    """
+
+    waves: tuple[NDArray[np.float32], ...]
+    first: tuple[int, ...]
+    power: Float
+
+    def source(self, octave: int, start: int, count: int) -> Float:
+        """An ArcSource: zero outside the profile."""
+        out = np.zeros((ARC_PER_OCTAVE, count))
+        if octave < len(self.waves):
+            wave, first = self.waves[octave], self.first[octave]
+            low, high = max(start, first), min(start + count, first + wave.shape[1])
+            if low < high:
+                out[:, low - start : high - start] = wave[:, low - first : high - first]
+        return out
+
+
+@dataclass(frozen=True)
+class Shares:
+    """What each excitation keeps. profile: (n, Ka) factor g on the height. arc: (n, Ka), time: (n, Kt) factors on the
+    noise carriers' amplitudes."""
+
+    profile: Float
+    arc: Float
+    time: Float
+
+
+def split_profile(profile: HeightProfile, carriers: Carriers) -> ProfileBands:
+    """Band-pass the profile by FFT; the straight line through its ends is removed, being no texture."""
+    finest = 1.0 / max(profile.resolved_wavelength_m, 2.0 * profile.step_m)
+    edges = carriers.arc_edges()
+    octaves = int(np.sum(edges[:-1:ARC_PER_OCTAVE] < finest))
+    power = np.zeros(carriers.arc_count)
+    length = (len(profile.height) - 1) * profile.step_m
+    if octaves == 0 or len(profile.height) < 4:
+        return ProfileBands((), (), power)
+    step = carriers.arc_step_m(octaves - 1)
+    first = int(np.ceil(profile.origin_m / step))
+    place = (np.arange(first, int(np.floor((profile.origin_m + length) / step)) + 1) * step - profile.origin_m) / step
+    height = cubic(np.asarray(profile.height, dtype=np.float64), place * step / profile.step_m)
+    height = height - np.linspace(height[0], height[-1], len(height))
+    # Room for the ringing of the narrowest band, so that one end does not reach round to the other.
+    size = 1 << int(np.ceil(np.log2(len(height) + 0.02 / step)))
+    spectrum = np.fft.rfft(height, size)
+    kappa = np.fft.rfftfreq(size, step)
+    spectrum[kappa > finest] = 0.0
+    waves, firsts = [], []
+    for octave in range(octaves):
+        factor = 2 ** (octaves - 1 - octave)
+        band_edges = edges[octave * ARC_PER_OCTAVE : (octave + 1) * ARC_PER_OCTAVE + 1]
+        coarse = size // factor
+        # Grid points of this octave are every factor-th of the finest: align by a phase.
+        origin = -(-first // factor)
+        shift = np.exp(2j * np.pi * kappa * (origin * factor - first) * step)[: coarse // 2 + 1]
+        part = np.zeros((ARC_PER_OCTAVE, coarse // 2 + 1), dtype=np.complex128)
+        owner = np.searchsorted(band_edges, kappa[: coarse // 2 + 1], side="right") - 1
+        for band in range(ARC_PER_OCTAVE):
+            inside = owner == band
+            part[band, inside] = (spectrum[: coarse // 2 + 1] * shift)[inside] / factor
+        count = len(height) // factor
+        wave = np.fft.irfft(part, coarse, axis=1)[:, :count]
+        waves.append(wave.astype(np.float32))
+        firsts.append(origin)
+        power[octave * ARC_PER_OCTAVE : (octave + 1) * ARC_PER_OCTAVE] = _stationary_power(
+            wave, coarse * factor * step, band_edges
+        )
+    return ProfileBands(tuple(waves), tuple(firsts), power)
+
+
+def _stationary_power(wave: Float, period_m: float, band_edges: Float) -> Float:
+    """Mean power (24,) of an octave's bands over the stretches in which no event happens."""
+    total = wave.sum(axis=0)
+    step = 1.0 / (16.0 * band_edges[-1])
+    stretch = max(round(4.0 / float(band_edges[0]) / step), 1)
+    count = len(total) // stretch
+    keep = np.ones(len(total))
+    if count >= _MIN_STRETCHES:
+        local = np.mean(np.square(total[: count * stretch].reshape(count, stretch)), axis=1)
+        event = local > SEAM_RATIO * np.median(local)
+        event[1:] |= event[:-1].copy()
+        event[:-1] |= event[1:].copy()
+        if 0 < event.sum() <= max(_MAX_EVENTS * count, 3):
+            keep[: count * stretch] = np.repeat(~event, stretch)
+    if keep.all():
+        return np.asarray(np.mean(np.square(wave), axis=1))
+    ramp = np.hanning(max(stretch // 2, 3))
+    mask = np.minimum(np.convolve(keep, ramp / ramp.sum(), mode="same"), keep)
+    size = 1 << int(np.ceil(np.log2(len(total))))
+    spectrum = np.square(np.abs(np.fft.rfft(total * mask, size)))
+    owner = np.searchsorted(band_edges, np.fft.rfftfreq(size, step), side="right") - 1
+    inside = (owner >= 0) & (owner < ARC_PER_OCTAVE)
+    energy = np.bincount(owner[inside], spectrum[inside], ARC_PER_OCTAVE)
+    return np.asarray(2.0 * energy / size / np.square(mask).sum())
+
+
+def share_power(amplitude: Float, bands: ProfileBands, condition: Condition, carriers: Carriers) -> Shares:
+    """Divide the field's power between profile and noise at every state; amplitude (n, K) as accumulated."""
+    arc_amplitude, time_amplitude = amplitude[:, carriers.arc_slice], amplitude[:, carriers.time_slice]
+    speed = np.maximum(condition.speed, SPEED_FLOOR_M_S)
+    edges = carriers.arc_edges()
+    total = np.square(arc_amplitude)
+    if carriers.time_count:
+        # Power density of the time carriers at f = κ v, over the band's width in Hz.
+        time_edges = carriers.time_edges()
+        centres = speed[:, None] * carriers.arc_centres()
+        owner = np.searchsorted(time_edges, centres, side="right") - 1
+        inside = (owner >= 0) & (owner < carriers.time_count)
+        density = np.square(time_amplitude) / np.diff(time_edges)
+        rows = np.arange(len(speed))[:, None]
+        at_band = np.where(inside, density[rows, np.clip(owner, 0, carriers.time_count - 1)], 0.0)
+        total = total + at_band * speed[:, None] * np.diff(edges)
+    profile_power = contact_band_power(np.broadcast_to(bands.power, total.shape), condition, carriers)
+    present = profile_power > 0.0
+    gain2 = np.divide(total, profile_power, out=np.ones_like(total), where=present)
+    gain2 = np.minimum(gain2, 1.0)
+    taken = np.minimum(gain2 * profile_power, total)
+    left = 1.0 - np.divide(taken, total, out=np.zeros_like(total), where=total > 0.0)
+    time_left = np.ones_like(time_amplitude)
+    if carriers.time_count:
+        for band in range(carriers.time_count):
+            weight = np.where(inside & (owner == band), np.diff(edges)[None, :] * speed[:, None], 0.0)
+            covered = weight.sum(axis=1)
+            width = np.diff(time_edges)[band]
+            taken_share = (weight * (1.0 - left)).sum(axis=1) / np.maximum(covered, width)
+            time_left[:, band] = 1.0 - taken_share
+    return Shares(np.where(present, np.sqrt(gain2), 1.0), np.sqrt(left), np.sqrt(time_left))

@@ -1,0 +1,169 @@
+"""From a stroke to a(t): the fast path.
+
+The field is evaluated at the action rate, its carriers at 10 kHz, in blocks; any block is computable alone. Another
+output rate is a resampling of the same signal, never another model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..action.action import Action
+from ..material.contact import tip_response
+from ..material.mechanics import PROBES
+from ..signal import Signal
+from .carriers import MODEL_RATE_HZ, Carriers
+from .contact_filter import LEAD, TAIL, FilterBank, filter_bank
+from .extrapolation import examine
+from .features import FORCE_FLOOR_N, Condition
+from .field import Field, accumulate, evaluate
+from .modulation import arc_term, interpolate, time_term
+from .profile import ProfileBands, share_power, split_profile
+from .resampling import resample
+from .stroke import StrokeInput, Synthesis
+from .timeline import SAMPLES_PER_STATE, condition_of, cubic, sample_count, smooth, states_of
+
+Float = NDArray[np.float64]
+
+BLOCK = 16_384
+"""Samples rendered at once: bounds memory, changes nothing else."""
+BEFORE_CONTACT_S, AFTER_CONTACT_S = 0.02, 0.06
+"""Beyond these distances from contact the signal is exactly zero."""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A stroke with F_Θ already evaluated: all that a block of samples needs.
+
+    amplitude: (n, heads, K), what is left to the noise carriers. profile_amplitude: (n, Ka) factor on the profile's
+    bands. force: (n,) N as pressed. audible: (count,) 0 … 1, zero far from contact.
+    """
+
+    carriers: Carriers
+    seed: int
+    action: Action
+    amplitude: Float
+    bank: FilterBank
+    force: Float
+    audible: Float
+    bands: ProfileBands | None = None
+    profile_amplitude: Float | None = None
+
+    @property
+    def count(self) -> int:
+        return len(self.audible)
+
+
+def synthesise(field: Field, stroke: StrokeInput, *, seed: int, sample_rate: float = MODEL_RATE_HZ) -> Synthesis:
+    """The vibration of a stroke in m/s². The same seed gives the same bytes.
+
+    Raises StrokeError for an action without duration, UsageError for a sample rate that is not positive. What lies
+    outside the field's training ranges is synthesised as it is, and named in warnings.
+    """
+    prepared = prepare(field, stroke, seed=seed)
+    blocks = [
+        render_block(prepared, start, min(BLOCK, prepared.count - start)) for start in range(0, prepared.count, BLOCK)
+    ]
+    samples = np.concatenate(blocks) if blocks else np.zeros(0)
+    output, rate_warnings = resample(samples, MODEL_RATE_HZ, sample_rate)
+    confidence, warnings = examine(field, stroke, prepared.action)
+    provenance = {"probe": stroke.action.probe, "field": field.identity, "model_rate_hz": f"{MODEL_RATE_HZ:g}"}
+    signal = Signal(output.astype(np.float32), float(sample_rate), seed, provenance)
+    return Synthesis(signal, confidence, (*warnings, *rate_warnings))
+
+
+def prepare(field: Field, stroke: StrokeInput, *, seed: int) -> Prepared:
+    """Everything at the action rate: F_Θ, its accumulation over past states, and the profile's share."""
+    action, token_index = states_of(stroke)
+    condition = condition_of(stroke, action, token_index)
+    carriers = field.config.carriers
+    amplitude = accumulate(field.config, evaluate(field, condition))
+    pressed = np.where(action.contact, action.force, 0.0)
+    bank = filter_bank(stroke.mechanics, token_index, pressed, action.probe)
+    bands, profile_amplitude = None, None
+    if stroke.profile is not None and carriers.arc_count:
+        bands = split_profile(stroke.profile, carriers)
+        shares = share_power(amplitude[:, 0], bands, condition, carriers)
+        profile_amplitude = shares.profile * _tip(condition, carriers)
+        amplitude = amplitude.copy()
+        amplitude[:, :, carriers.arc_slice] *= shares.arc[:, None, :]
+        amplitude[:, :, carriers.time_slice] *= shares.time[:, None, :]
+    return Prepared(
+        carriers, seed, action, amplitude, bank, pressed, _audible(action.contact, sample_count(action)), bands,
+        profile_amplitude,
+    )  # fmt: skip
+
+
+def render_block(prepared: Prepared, start: int, count: int) -> Float:
+    """Samples start … start + count − 1 of the model rate in m/s², (count,) float64; independent of other blocks."""
+    audible = prepared.audible[start : start + count]
+    if not audible.any():
+        return np.zeros(count)
+    return np.asarray(audible * (texture_term(prepared, start, count) + contact_term(prepared, start, count)))
+
+
+def texture_term(prepared: Prepared, start: int, count: int) -> Float:
+    """The carriers, modulated: 0 at rest and out of contact (but for the 40 ms memory)."""
+    carriers, out = prepared.carriers, np.zeros(count)
+    for delay in range(prepared.amplitude.shape[1]):
+        amplitude = prepared.amplitude[:, delay]
+        if carriers.constant:
+            out += interpolate(amplitude[:, :1], start, count)[:, 0]
+        if carriers.time_count:
+            out += time_term(amplitude[:, carriers.time_slice], carriers, prepared.seed, start, count, delay)
+        if carriers.arc_count:
+            place = position(prepared.action, start - delay, count)
+            out += arc_term(
+                amplitude[:, carriers.arc_slice], carriers,
+                lambda octave, first, length: carriers.arc_samples(prepared.seed, octave, first, length), place, start,
+            )  # fmt: skip
+    return out
+
+
+def contact_term(prepared: Prepared, start: int, count: int) -> Float:
+    """Pressing: onset, release and dF/dt through the contact, also at v = 0; and the profile under the path."""
+    margin_start, margin_count = start - TAIL, TAIL + count + LEAD
+    force = smooth(prepared.force, (margin_start + np.arange(margin_count)) / SAMPLES_PER_STATE)
+    out = prepared.bank.apply(prepared.bank.force, force, start)
+    if prepared.bands is not None and prepared.profile_amplitude is not None:
+        height = arc_term(
+            prepared.profile_amplitude, prepared.carriers, prepared.bands.source,
+            position(prepared.action, margin_start, margin_count), margin_start,
+        )  # fmt: skip
+        out += prepared.bank.apply(prepared.bank.height, height, start)
+    return out
+
+
+def position(action: Action, start: int, count: int) -> Float:
+    """s(t) [m] at samples start … of the model rate, held beyond the stroke."""
+    return cubic(action.position, (start + np.arange(count)) / SAMPLES_PER_STATE)
+
+
+def _tip(condition: Condition, carriers: Carriers) -> Float:
+    """(n, Ka) share of each band's height that the finite contact passes on; 0 out of contact."""
+    out = np.zeros((len(condition.force), carriers.arc_count))
+    for index, mechanics in enumerate(condition.mechanics):
+        rows = np.flatnonzero((condition.material == index) & condition.contact & (condition.force > 0.0))
+        force = np.maximum(condition.force[rows], FORCE_FLOOR_N)[:, None]
+        out[rows] = tip_response(carriers.arc_centres(), mechanics, PROBES[condition.probe], force)
+    return out
+
+
+def _audible(contact: NDArray[np.bool_], count: int) -> Float:
+    """1 in contact, fading to exactly 0 at BEFORE_CONTACT_S ahead of it and AFTER_CONTACT_S behind it."""
+    touched = contact.astype(bool)
+    sample = np.arange(count)
+    state = sample / SAMPLES_PER_STATE
+    indices = np.flatnonzero(touched)
+    if len(indices) == 0:
+        return np.zeros(count)
+    following = np.searchsorted(indices, state)
+    ahead = np.where(following < len(indices), indices[np.minimum(following, len(indices) - 1)] - state, np.inf)
+    behind = np.where(following > 0, state - indices[np.maximum(following - 1, 0)], np.inf)
+    per_state = SAMPLES_PER_STATE / MODEL_RATE_HZ
+    ahead, behind = np.maximum(ahead - 1.0, 0.0) * per_state, np.maximum(behind - 1.0, 0.0) * per_state
+    fade = np.maximum(1.0 - ahead / BEFORE_CONTACT_S, 1.0 - behind / AFTER_CONTACT_S)
+    return np.asarray(np.sin(0.5 * np.pi * np.clip(fade, 0.0, 1.0)) ** 2)

@@ -1,0 +1,124 @@
+"""Weights on disk: safetensors with JSON metadata, checked on the way in."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import FileError, WeightsError
+from ..files import content_hash, write_bytes
+from ..material.token import ENCODER_ID, TOKEN_DIM
+from .carriers import Carriers
+from .field import Field, FieldConfig, Ranges
+
+DEFAULT_WEIGHTS = Path(__file__).parent.parent / "data" / "field.safetensors"
+FORMAT = "hnf-field-1"
+_TOKEN_LOW, _TOKEN_HIGH = "ranges.token_low", "ranges.token_high"
+_RETRAIN = "Train it again with this version, or choose other weights."
+
+
+def save_field(path: Path, field: Field) -> None:
+    """Write parameters, ranges and metadata atomically. field.metadata (training data, seed, metrics, licence, all
+    text) is kept; format, encoder, architecture and ranges are added. Raises FileError."""
+    from safetensors.numpy import save
+
+    tensors = {name: np.ascontiguousarray(value, dtype=np.float32) for name, value in field.parameters.items()}
+    metadata = {
+        **field.metadata,
+        "format": FORMAT,
+        "encoder": ENCODER_ID,
+        "architecture": json.dumps(dataclasses.asdict(field.config), sort_keys=True),
+    }
+    if field.ranges is not None:
+        tensors[_TOKEN_LOW], tensors[_TOKEN_HIGH] = field.ranges.token_low, field.ranges.token_high
+        metadata["ranges"] = json.dumps({"speed_m_s": field.ranges.speed, "force_n": field.ranges.force})
+    write_bytes(path, save(tensors, metadata=dict(sorted(metadata.items()))))
+
+
+def load_field(path: Path | str | None = None) -> Field:
+    """Read weights; without a path the shipped default (read once).
+
+    Raises FileError where there is no file, WeightsError where it is damaged, of another format or architecture, not
+    finite, or belongs to another encoder.
+    """
+    return _load(DEFAULT_WEIGHTS) if path is None else _read(Path(path))
+
+
+@lru_cache(maxsize=1)
+def _load(path: Path) -> Field:
+    return _read(path)
+
+
+def _read(path: Path) -> Field:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise FileError(
+            f"cannot read weights ({error.strerror}).", where=str(path), remedy="Check the path."
+        ) from error
+    tensors, metadata = _parse(path, data)
+    if metadata.get("format") != FORMAT:
+        found = metadata.get("format", "no format")
+        raise WeightsError(f"these are not field weights ({found}, not {FORMAT}).", where=str(path), remedy=_RETRAIN)
+    if metadata.get("encoder") != ENCODER_ID:
+        raise WeightsError(
+            f"trained on tokens of encoder {metadata.get('encoder')!r}, but tokens here come from {ENCODER_ID!r}.",
+            where=str(path),
+            remedy=_RETRAIN,
+        )
+    try:
+        config = _config(json.loads(metadata["architecture"]))
+        ranges = _ranges(metadata, tensors)
+    except (KeyError, TypeError, ValueError) as error:
+        raise WeightsError(f"unreadable description ({error}).", where=str(path), remedy=_RETRAIN) from error
+    parameters = {name: value for name, value in tensors.items() if name not in (_TOKEN_LOW, _TOKEN_HIGH)}
+    shapes = {name: value.shape for name, value in parameters.items()}
+    if shapes != config.shapes():
+        wrong = sorted(set(shapes.items()) ^ set(config.shapes().items()))
+        raise WeightsError(f"parameters do not fit the architecture: {wrong[:3]}.", where=str(path), remedy=_RETRAIN)
+    if not all(value.dtype == np.float32 and np.isfinite(value).all() for value in tensors.values()):
+        raise WeightsError("parameters are not all finite float32.", where=str(path), remedy=_RETRAIN)
+    return Field(config, parameters, ranges, metadata, content_hash(data))
+
+
+def _parse(path: Path, data: bytes) -> tuple[dict[str, NDArray[np.float32]], dict[str, str]]:
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
+    try:
+        tensors = load(data)
+        header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
+    except (SafetensorError, ValueError, KeyError, TypeError) as error:
+        raise WeightsError(
+            f"damaged or not a safetensors file ({error}).", where=str(path), remedy="Get the file again."
+        ) from error
+    return tensors, dict(header.get("__metadata__", {}))
+
+
+def _config(record: Mapping[str, Any]) -> FieldConfig:
+    carriers = dict(record["carriers"])
+    carriers["time_edges_hz"] = tuple(float(edge) for edge in carriers["time_edges_hz"])
+    config = FieldConfig(**{**record, "carriers": Carriers(**carriers)})
+    if config.accumulation not in ("past", "heads") or config.emission not in ("log", "linear"):
+        raise ValueError(f"unknown accumulation {config.accumulation!r} or emission {config.emission!r}")
+    if min(config.hidden, config.layers, config.states) < 1:
+        raise ValueError("hidden, layers and states must be positive")
+    return config
+
+
+def _ranges(metadata: Mapping[str, str], tensors: Mapping[str, NDArray[np.float32]]) -> Ranges | None:
+    if "ranges" not in metadata:
+        return None
+    record = json.loads(metadata["ranges"])
+    low, high = tensors[_TOKEN_LOW], tensors[_TOKEN_HIGH]
+    if low.shape != (TOKEN_DIM,) or high.shape != (TOKEN_DIM,):
+        raise ValueError("token ranges of the wrong length")
+    speed, force = (tuple(float(value) for value in record[key]) for key in ("speed_m_s", "force_n"))
+    return Ranges((speed[0], speed[1]), (force[0], force[1]), low, high)
