@@ -1,0 +1,253 @@
+"""Scene files → the open Blender scene, or one clear line why not."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+from hnf_core.errors import FileError, SceneError
+
+from .ply_header import read_ply_header
+from .quiet import quiet
+
+SUFFIXES = (".blend", ".gltf", ".glb", ".obj", ".ply", ".usd", ".usda", ".usdc", ".usdz", ".fbx")
+SPLAT_SUFFIXES = (".splat", ".ksplat", ".spz", ".sog")
+# A curve may be a stroke, a light or camera is nothing to touch; an empty may stand for a collection of meshes.
+TOUCHABLE_TYPES = ("MESH", "SURFACE", "META", "FONT", "CURVE", "CURVES", "EMPTY")
+# ZStandard (3.0 and later) and gzip (before) are how Blender compresses.
+BLEND_STARTS = (b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b")
+USD_STARTS = (b"#usda", b"PXR-USDC", b"PK\x03\x04")
+
+
+def open_scene(path: Path) -> Any:
+    """Open a scene file and return its bpy Scene, which is then Blender's active one.
+
+    A .blend is opened as it is (its user interface and its Python scripts are left alone); every other format is
+    imported into an empty scene, never into the start-up one. Raises FileError where the file is missing, damaged,
+    of an unsupported kind or refers to a missing part, and SceneError where it holds nothing to touch. What was open
+    before stays open when the file is refused by its head.
+    """
+    import bpy
+
+    path = Path(path).absolute()
+    suffix = path.suffix.lower()
+    _check_head(path, suffix)
+    if suffix == ".blend":
+        _run(path, lambda: bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False))
+        scene = bpy.context.scene
+        if not any(obj.type in TOUCHABLE_TYPES for obj in scene.objects):
+            raise SceneError(
+                f"its scene '{scene.name}' holds no object to touch.",
+                where=str(path),
+                remedy="Save the file with the right scene active.",
+            )
+        return scene
+    empty_scene()
+    importer = _importer(suffix, path)
+    _run(path, lambda: importer(filepath=str(path)))
+    scene = bpy.context.scene
+    _check_import(scene, path)
+    return scene
+
+
+def empty_scene() -> None:
+    """Replace what is open by a scene without any object; preferences and add-ons stay as they are."""
+    import bpy
+
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True, load_ui=False)
+
+
+def metres_per_unit(scene: Any, override: float | None = None) -> float:
+    """Length of one Blender unit in metres: override, else the scene's unit scale (1 where it has no unit system)."""
+    if override is not None:
+        if not 0.0 < override < float("inf"):
+            raise SceneError(f"{override:g} metres per unit cannot be.", remedy="Give a positive number.")
+        return float(override)
+    settings = scene.unit_settings
+    return 1.0 if settings.system == "NONE" else float(settings.scale_length)
+
+
+def size_warning(obj: Any, metres: float) -> str | None:
+    """A line for a touched object whose bounding box no hand would meet: diagonal above 5 m or below 5 mm.
+
+    metres: metres per Blender unit. Centimetre scenes and unapplied unit scales show here first.
+    """
+    scale = obj.matrix_world.to_scale()
+    corners = list(obj.bound_box)
+    sides = [
+        abs(scale[i]) * (max(corner[i] for corner in corners) - min(corner[i] for corner in corners)) * metres
+        for i in range(3)
+    ]
+    diagonal = sum(side * side for side in sides) ** 0.5
+    if 5e-3 <= diagonal <= 5.0:
+        return None
+    size = f"{diagonal:.3g} m" if diagonal > 5.0 else f"{diagonal * 1e3:.3g} mm"
+    if diagonal > 5.0:
+        remedy = f"If the scene is in centimetres, give --scale {metres * 0.01:g}; in millimetres, {metres * 0.001:g}."
+    else:
+        remedy = f"If one unit is larger than {metres:g} m, say so with --scale."
+    return f"object '{obj.name}' is {size} across. {remedy}"
+
+
+def missing_image(image: Any) -> str | None:
+    """Why an image datablock has no pixels ("PATH is missing"), or None where it has.
+
+    Packed and generated images are always there; of a tiled one (UDIM) a single tile is enough.
+    """
+    import bpy
+
+    if image.source not in ("FILE", "TILED", "SEQUENCE", "MOVIE") or image.packed_file is not None:
+        return None
+    path = Path(bpy.path.abspath(image.filepath, library=image.library))
+    if image.source == "TILED":
+        pattern = re.sub(r"<(UDIM|UVTILE)>", "*", path.name)
+        if any(path.parent.glob(pattern)):
+            return None
+        return f"{path} is missing"
+    if not path.is_file():
+        return f"{path} is missing"
+    return None if image.source != "FILE" or image.size[0] > 0 else f"{path} cannot be read as a picture"
+
+
+def _check_head(path: Path, suffix: str) -> None:
+    """Refuse by name, size and first bytes whatever Blender would not open, before anything open is given up."""
+    where = str(path)
+    if not path.exists():
+        raise FileError("there is no such file.", where=where, remedy="Check the path.")
+    if not path.is_file():
+        raise FileError("is not a file.", where=where, remedy="Give the scene file itself.")
+    if suffix in SPLAT_SUFFIXES:
+        raise _splat(where)
+    if suffix not in SUFFIXES:
+        raise FileError(
+            f"scenes of kind '{suffix or path.name}' are not supported.",
+            where=where,
+            remedy=f"Export it as one of {' '.join(SUFFIXES)}.",
+        )
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(64)
+    except OSError as error:
+        raise FileError(
+            f"cannot be read ({error.strerror or error}).", where=where, remedy="Check its rights."
+        ) from error
+    if not head:
+        raise _damaged(path, "it is empty")
+    if suffix == ".blend" and not head.startswith(BLEND_STARTS):
+        raise _damaged(path, "it does not begin like a .blend file")
+    if suffix == ".glb" and not head.startswith(b"glTF"):
+        raise _damaged(path, "it does not begin like a binary glTF file")
+    if suffix == ".fbx" and not (head.startswith(b"Kaydara FBX Binary") or head.lstrip().startswith(b";")):
+        raise _damaged(path, "it does not begin like an FBX file")
+    if suffix.startswith(".usd") and not head.startswith(USD_STARTS):
+        raise _damaged(path, "it does not begin like a USD file")
+    if suffix == ".gltf":
+        _check_gltf(path)
+    if suffix == ".ply":
+        _check_ply(path)
+
+
+def _check_ply(path: Path) -> None:
+    header = read_ply_header(path)
+    if header.is_splat:
+        raise _splat(str(path))
+    if header.count("face") == 0 and header.count("tristrips") == 0:
+        raise SceneError(
+            f"is a cloud of {header.count('vertex')} points without faces: there is no surface to touch.",
+            where=str(path),
+            remedy="Convert it to a mesh first (for example by Poisson reconstruction).",
+        )
+
+
+def _check_gltf(path: Path) -> None:
+    """A .gltf is JSON that names its buffers; name the missing one instead of a traceback."""
+    try:
+        document = json.loads(path.read_bytes())
+        buffers = [str(buffer.get("uri", "")) for buffer in document.get("buffers", [])]
+    except (ValueError, AttributeError, TypeError, RecursionError) as error:
+        raise _damaged(path, "it is not a glTF document") from error
+    for uri in buffers:
+        if uri and not uri.startswith("data:") and not (path.parent / unquote(uri)).is_file():
+            raise FileError(
+                f"its data file '{unquote(uri)}' is missing.", where=str(path), remedy="Put it beside the .gltf file."
+            )
+
+
+def _importer(suffix: str, path: Path) -> Callable[..., Any]:
+    """The operator of this Blender version; a bundled importer that is switched off is switched on for this session."""
+    import bpy
+
+    if suffix == ".obj":
+        return bpy.ops.wm.obj_import  # type: ignore[no-any-return]
+    if suffix == ".ply":
+        return bpy.ops.wm.ply_import  # type: ignore[no-any-return]
+    if suffix.startswith(".usd"):
+        return bpy.ops.wm.usd_import  # type: ignore[no-any-return]
+    if suffix == ".fbx":
+        if "fbx_import" in dir(bpy.ops.wm):  # from 4.5 on
+            return bpy.ops.wm.fbx_import  # type: ignore[no-any-return]
+        _switch_on("io_scene_fbx", path)
+        return bpy.ops.import_scene.fbx  # type: ignore[no-any-return]
+    _switch_on("io_scene_gltf2", path)
+    return bpy.ops.import_scene.gltf  # type: ignore[no-any-return]
+
+
+def _switch_on(module: str, path: Path) -> None:
+    import addon_utils
+
+    if not addon_utils.check(module)[1] and addon_utils.enable(module, default_set=False) is None:
+        raise FileError(
+            f"Blender's importer '{module}' is not installed.",
+            where=str(path),
+            remedy="Enable it under Edit › Preferences › Add-ons, or convert the scene to .blend.",
+        )
+
+
+def _run(path: Path, operator: Callable[[], Any]) -> None:
+    try:
+        with quiet():
+            result = operator()
+    except RuntimeError as error:
+        raise FileError(
+            f"Blender could not open it: {_one_line(str(error))}.", where=str(path), remedy="Export it again."
+        ) from error
+    if "FINISHED" not in result:
+        raise FileError("Blender could not open it.", where=str(path), remedy="Export it again.")
+
+
+def _check_import(scene: Any, path: Path) -> None:
+    """Importers report success with nothing imported."""
+    meshes = [obj for obj in scene.objects if obj.type == "MESH"]
+    if any(len(obj.data.polygons) for obj in meshes):
+        return
+    if any(len(obj.data.vertices) for obj in meshes):
+        what, remedy = "holds points or lines but no faces.", "Convert it to a mesh with faces first."
+    elif len(scene.objects):
+        what, remedy = "holds no mesh: there is no surface to touch.", "Export the meshes too."
+    else:
+        what, remedy = "nothing could be imported from it.", "The file is empty or damaged; export it again."
+    raise SceneError(what, where=str(path), remedy=remedy)
+
+
+def _one_line(message: str) -> str:
+    """The reason in an operator's error text, which may be a whole Python traceback."""
+    lines = [line.strip() for line in message.splitlines() if line.strip() and not line.startswith("Location:")]
+    raised = [
+        line for line in lines if re.match(r"[\w.]*(Error|Exception|Interrupt)\b", line) and "Error: Python" not in line
+    ]
+    reason = (raised[-1] if "Traceback" in message and raised else lines[0] if lines else "no reason given").strip()
+    return re.sub(r"^Error:\s*", "", reason).rstrip(".")
+
+
+def _splat(where: str) -> SceneError:
+    return SceneError(
+        "is a Gaussian-splat scene, which is not supported yet.", where=where, remedy="Convert it to a mesh first."
+    )
+
+
+def _damaged(path: Path, why: str) -> FileError:
+    return FileError(f"is damaged: {why}.", where=str(path), remedy="Export or download it again.")

@@ -1,0 +1,336 @@
+"""Opening scene files: each format gives its meshes in an empty scene, and bad files give one clear line."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from conftest import add_plane, add_sphere, float_image
+
+from hnf_blender.bridge.importers import metres_per_unit, missing_image, open_scene, size_warning
+from hnf_blender.bridge.ply_header import read_ply_header
+from hnf_blender.bridge.quiet import quiet
+from hnf_core.errors import FileError, HnfError, SceneError
+
+REPOSITORY = Path(__file__).parents[2]
+SCENES = REPOSITORY.parent / "shared" / "data" / "scenes"
+FORMATS = ("blend", "gltf", "glb", "obj", "ply", "usd", "usda", "usdc", "usdz", "fbx")
+RADIUS = 0.05
+
+
+def export(path: Path) -> None:
+    """Write the open scene with Blender's own exporter for the suffix of path."""
+    kind = path.suffix[1:]
+    with quiet():
+        if kind == "blend":
+            bpy.ops.wm.save_as_mainfile(filepath=str(path), compress=False)
+        elif kind in ("gltf", "glb"):
+            form = {"gltf": "GLTF_SEPARATE", "glb": "GLB"}[kind]
+            bpy.ops.export_scene.gltf(filepath=str(path), export_format=form)
+        elif kind == "fbx":
+            bpy.ops.export_scene.fbx(filepath=str(path))
+        else:
+            operator = {"obj": bpy.ops.wm.obj_export, "ply": bpy.ops.wm.ply_export}.get(kind, bpy.ops.wm.usd_export)
+            operator(filepath=str(path))
+
+
+@pytest.fixture(scope="module")
+def ball_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with one ball in every format."""
+    folder = tmp_path_factory.mktemp("balls")
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    ball = add_sphere("Ball", RADIUS, 24, 12)
+    ball.data.materials.append(bpy.data.materials.new("Leather"))
+    for kind in FORMATS:
+        export(folder / f"ball.{kind}")
+    return folder
+
+
+def meshes(scene) -> list:
+    return [obj for obj in scene.objects if obj.type == "MESH" and len(obj.data.polygons)]
+
+
+def start_up_scene() -> dict[str, list]:
+    """A scene that stands for the user's open work, and what it looks like."""
+    bpy.ops.wm.read_factory_settings()
+    return everything()
+
+
+def everything() -> dict[str, list]:
+    return {obj.name: [obj.type, list(obj.location)] for obj in bpy.data.objects}
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_every_format_gives_the_mesh_in_metres_and_nothing_of_the_start_up_scene(ball_files: Path, kind: str) -> None:
+    assert "Cube" in start_up_scene()
+    scene = open_scene(ball_files / f"ball.{kind}")
+    assert scene == bpy.context.scene
+    (ball,) = meshes(scene)
+    assert not {"Cube", "Light", "Camera"} & {obj.name for obj in scene.objects}
+    corners = np.array([ball.matrix_world @ vertex.co for vertex in ball.data.vertices])
+    assert np.linalg.norm(corners, axis=1) * metres_per_unit(scene) == pytest.approx(RADIUS, rel=1e-4)
+    if kind not in ("ply",):
+        assert [slot.name for slot in ball.material_slots] == ["Leather"]
+
+
+def test_suffix_in_capitals_and_relative_paths(ball_files: Path, tmp_path: Path, monkeypatch) -> None:
+    shutil.copy(ball_files / "ball.ply", tmp_path / "BALL.PLY")
+    monkeypatch.chdir(tmp_path)
+    assert len(meshes(open_scene(Path("BALL.PLY")))) == 1
+
+
+def test_obj_without_normals_and_uv_written_by_hand(tmp_path: Path) -> None:
+    path = tmp_path / "square.obj"
+    path.write_text("o Square\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n")
+    (square,) = meshes(open_scene(path))
+    assert (square.name, len(square.data.uv_layers)) == ("Square", 0)
+    path.write_text(
+        "v 0 0 0\nv 1 0 0\nv 1 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvn 0 0 1\nmtllib gone.mtl\nusemtl A\nf 1/1/1 2/2/1 3/3/1\n"
+    )
+    (triangle,) = meshes(open_scene(path))
+    assert len(triangle.data.uv_layers) == 1
+
+
+def test_an_ascii_ply_written_by_hand(tmp_path: Path) -> None:
+    path = tmp_path / "tri.ply"
+    head = "ply\r\nformat ascii 1.0\r\ncomment by hand\r\nelement vertex 3\r\nproperty float x\r\nproperty float y\r\n"
+    head += "property float z\r\nelement face 1\r\nproperty list uchar int vertex_indices\r\nend_header\r\n"
+    path.write_bytes(head.replace("\r\n", "\n").encode() + b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
+    assert len(meshes(open_scene(path))) == 1
+    path.write_bytes(head.encode())
+    assert read_ply_header(path).elements == {"vertex": (3, ("x", "y", "z")), "face": (1, ("vertex_indices",))}
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+@pytest.mark.parametrize("damage", ["empty", "noise", "cut short", "early end", "directory", "missing"])
+def test_damaged_files_give_one_line_that_names_them(ball_files: Path, tmp_path: Path, kind: str, damage: str) -> None:
+    whole = (ball_files / f"ball.{kind}").read_bytes()
+    path = tmp_path / f"bad.{kind}"
+    if damage == "directory":
+        path.mkdir()
+    elif damage != "missing":
+        noise = bytes(range(1, 256)) * 20
+        # Half an OBJ is a whole, smaller OBJ; only a cut before its faces can be noticed.
+        cut = whole[: len(whole) // (8 if kind == "obj" else 2)]
+        path.write_bytes({"empty": b"", "noise": noise, "cut short": cut, "early end": whole[:30]}[damage])
+    with pytest.raises(HnfError) as caught:
+        open_scene(path)
+    text = str(caught.value)
+    assert isinstance(caught.value, FileError | SceneError)
+    assert str(path) in text
+    assert "\n" not in text
+    assert "Traceback" not in text
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_a_file_refused_by_its_head_leaves_the_open_scene(tmp_path: Path, kind: str) -> None:
+    before = start_up_scene()
+    path = tmp_path / f"bad.{kind}"
+    if kind == "obj":
+        path = tmp_path / "gone.obj"
+    else:
+        path.write_bytes(b"this is no scene at all")
+    with pytest.raises(FileError):
+        open_scene(path)
+    assert everything() == before
+
+
+def test_a_broken_blend_leaves_the_open_scene(ball_files: Path, tmp_path: Path) -> None:
+    before = start_up_scene()
+    whole = (ball_files / "ball.blend").read_bytes()
+    (tmp_path / "bad.blend").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(FileError, match=r"bad\.blend: Blender could not open it"):
+        open_scene(tmp_path / "bad.blend")
+    assert everything() == before
+
+
+def test_a_blend_keeps_its_scene_and_runs_no_script(tmp_path: Path) -> None:
+    add_plane("Cloth")
+    bpy.context.scene.name = "Mine"
+    text = bpy.data.texts.new("run.py")
+    text.write(f"open({str(tmp_path / 'ran')!r}, 'w').close()")
+    text.use_module = True
+    export(tmp_path / "a.blend")
+    bpy.ops.wm.read_factory_settings()
+    assert open_scene(tmp_path / "a.blend").name == "Mine"
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_blend_with_nothing_to_touch_is_refused(tmp_path: Path) -> None:
+    export(tmp_path / "a.blend")
+    with pytest.raises(SceneError, match="holds no object to touch"):
+        open_scene(tmp_path / "a.blend")
+
+
+def test_unsupported_kinds_list_the_supported_ones(tmp_path: Path) -> None:
+    for name in ("a.stl", "scene", "a.blend.zip"):
+        (tmp_path / name).write_bytes(b"x")
+        with pytest.raises(FileError, match=r"\.gltf \.glb"):
+            open_scene(tmp_path / name)
+
+
+def ply(properties: list[str], count: int, *, before: str = "") -> bytes:
+    head = f"ply\nformat binary_little_endian 1.0\n{before}element vertex {count}\n"
+    head += "".join(f"property float {name}\n" for name in properties) + "end_header\n"
+    return head.encode() + struct.pack(f"<{len(properties) * count}f", *([0.0] * len(properties) * count))
+
+
+SPLAT = [*"xyz", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"]
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_gaussian_splats_are_recognised_and_refused(tmp_path: Path, packed: bool) -> None:
+    before = start_up_scene()
+    path = tmp_path / "garden.ply"
+    if packed:
+        chunk = "element chunk 1\n" + "".join(f"property float min_{i}\n" for i in range(12))
+        names = ["packed_position", "packed_rotation", "packed_scale", "packed_color"]
+        path.write_bytes(ply(names, 5, before=chunk))
+    else:
+        path.write_bytes(ply([*SPLAT, "rot_0", "rot_1", "rot_2", "rot_3"], 5))
+    with pytest.raises(SceneError, match=r"Gaussian-splat scene, which is not supported yet.*mesh first"):
+        open_scene(path)
+    assert everything() == before
+
+
+def test_a_point_cloud_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "points.ply").write_bytes(ply(["x", "y", "z"], 7))
+    with pytest.raises(SceneError, match="cloud of 7 points"):
+        open_scene(tmp_path / "points.ply")
+
+
+def test_edges_alone_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "wire.obj").write_text("v 0 0 0\nv 1 0 0\nl 1 2\n")
+    with pytest.raises(SceneError, match="no faces"):
+        open_scene(tmp_path / "wire.obj")
+
+
+def test_a_gltf_without_meshes_is_refused(tmp_path: Path) -> None:
+    document = {"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": [{"name": "Nothing"}], "scene": 0}
+    (tmp_path / "a.gltf").write_text(json.dumps(document))
+    with pytest.raises(SceneError, match="holds no mesh"):
+        open_scene(tmp_path / "a.gltf")
+
+
+def test_a_gltf_names_its_missing_data_and_its_damaged_data(ball_files: Path, tmp_path: Path) -> None:
+    shutil.copy(ball_files / "ball.gltf", tmp_path)
+    with pytest.raises(FileError, match=r"data file 'ball\.bin' is missing"):
+        open_scene(tmp_path / "ball.gltf")
+    (tmp_path / "ball.bin").write_bytes(b"abc")
+    with pytest.raises(FileError) as caught:
+        open_scene(tmp_path / "ball.gltf")
+    assert "\n" not in str(caught.value)
+    assert "ball.gltf" in str(caught.value)
+
+
+def test_an_importer_that_is_switched_off_is_switched_on(ball_files: Path) -> None:
+    import addon_utils
+
+    addon_utils.disable("io_scene_gltf2", default_set=False)
+    assert not addon_utils.check("io_scene_gltf2")[1]
+    assert len(meshes(open_scene(ball_files / "ball.glb"))) == 1
+
+
+def test_nothing_is_printed(ball_files: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    capfd.readouterr()
+    for kind in FORMATS:
+        open_scene(ball_files / f"ball.{kind}")
+    shutil.copy(ball_files / "ball.gltf", tmp_path)
+    (tmp_path / "ball.bin").write_bytes(b"abc")
+    with pytest.raises(FileError):
+        open_scene(tmp_path / "ball.gltf")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_quiet_holds_back_c_output_and_puts_the_streams_back() -> None:
+    code = (
+        "import ctypes, os, sys\n"
+        "from hnf_blender.bridge.quiet import quiet\n"
+        "libc = ctypes.CDLL(None)\n"
+        "print('before')\n"
+        "try:\n"
+        "    with quiet():\n"
+        "        libc.printf(b'noise\\n'); print('noise'); os.system('echo noise; echo noise >&2'); raise KeyError\n"
+        "except KeyError:\n"
+        "    print('after')\n"
+        "libc.printf(b'end\\n')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=REPOSITORY, capture_output=True, text=True, timeout=60)
+    assert sorted(done.stdout.split()) == ["after", "before", "end"]
+    assert done.stderr == ""
+
+
+def test_units() -> None:
+    scene = bpy.context.scene
+    scene.unit_settings.system = "METRIC"
+    scene.unit_settings.scale_length = 0.01
+    assert metres_per_unit(scene) == pytest.approx(0.01)
+    assert metres_per_unit(scene, 0.5) == 0.5
+    scene.unit_settings.system = "NONE"
+    assert metres_per_unit(scene) == 1.0
+    for bad in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(SceneError):
+            metres_per_unit(scene, bad)
+
+
+def test_implausible_sizes_are_said() -> None:
+    cup = add_plane("Cup", 9.0)
+    assert "object 'Cup' is 12.7 m across" in str(size_warning(cup, 1.0))
+    assert "--scale 0.01" in str(size_warning(cup, 1.0))
+    assert size_warning(cup, 0.01) is None
+    assert "1.27 mm across" in str(size_warning(cup, 1e-4))
+    cup.scale = (0.01, 0.01, 0.01)
+    bpy.context.view_layer.update()
+    assert size_warning(cup, 1.0) is None
+
+
+def test_missing_and_damaged_images_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "cloth.png"
+    made = bpy.data.images.new("made", 4, 4)
+    made.filepath_raw, made.file_format = str(path), "PNG"
+    assert missing_image(bpy.data.images.new("generated", 4, 4)) is None
+    assert missing_image(float_image("packed", np.zeros((4, 4, 3)))) is None
+    made.save()
+    there = bpy.data.images.load(str(path))
+    assert missing_image(there) is None
+    path.write_bytes(b"no picture")
+    there.reload()
+    assert missing_image(there) == f"{path} cannot be read as a picture"
+    path.unlink()
+    assert missing_image(there) == f"{path} is missing"
+    there.source, there.filepath = "TILED", str(tmp_path / "tile.<UDIM>.png")
+    assert missing_image(there) == f"{tmp_path / 'tile.<UDIM>.png'} is missing"
+    (tmp_path / "tile.1001.png").write_bytes(b"x")
+    assert missing_image(there) is None
+
+
+@pytest.mark.skipif(not SCENES.is_dir(), reason="the real scenes are not beside the repository")
+@pytest.mark.parametrize(
+    ("file", "materials"),
+    [
+        ("FlightHelmet/FlightHelmet.gltf", {"LeatherPartsMat", "MetalPartsMat", "RubberWoodMat", "GlassPlasticMat"}),
+        ("SheenChairScene/MixedLightingExample.gltf", {"fabric Mystere Mango Velvet", "wood Brown"}),
+    ],
+)
+def test_real_scenes(file: str, materials: set[str]) -> None:
+    scene = open_scene(SCENES / file)
+    names = {slot.material.name for obj in meshes(scene) for slot in obj.material_slots}
+    assert materials <= names
+    assert [missing_image(image) for image in bpy.data.images if image.source == "FILE"].count(None) > 0
+
+
+@pytest.mark.skipif(not SCENES.is_dir(), reason="the real scenes are not beside the repository")
+def test_a_real_scene_with_a_missing_texture_still_opens_and_names_it(tmp_path: Path) -> None:
+    for part in (SCENES / "FlightHelmet").iterdir():
+        if "LeatherPartsMat_Normal" not in part.name:
+            (tmp_path / part.name).symlink_to(part)
+    open_scene(tmp_path / "FlightHelmet.gltf")
+    missing = [line for image in bpy.data.images if (line := missing_image(image))]
+    assert missing == [f"{tmp_path / 'FlightHelmet_Materials_LeatherPartsMat_Normal.png'} is missing"]
