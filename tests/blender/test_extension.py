@@ -1,0 +1,239 @@
+"""The add-on as a user gets it: built, validated, installed into an empty profile, and doing the main job there.
+
+Blender runs in a process of its own for each step, because an installed extension stays in a process for good.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import textwrap
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import build_extension
+import pytest
+
+PACKAGE = "bl_ext.user_default.hnf"
+PYTHON = f"{sys.version_info.major}.{sys.version_info.minor}"
+MEGABYTE = 1_000_000
+
+# What an installed add-on must never load: the network, training's modules, and itself by another name.
+FOREIGN = ("torch", "scipy", "hnf_core", "hnf_blender")
+
+# As `blender -b` starts: preferences read, their add-ons on. The 4.2 module crashes in read_userpref, on any profile;
+# there the extension is switched on by hand.
+START = f"""
+import addon_utils, bpy, sys
+if bpy.app.version >= (4, 5, 0):
+    bpy.ops.wm.read_userpref()
+else:
+    addon_utils.extensions_refresh()
+    addon_utils.enable('{PACKAGE}', default_set=True)
+"""
+
+
+@dataclass(frozen=True)
+class Profile:
+    """A clean Blender profile with the extension installed."""
+
+    folder: Path
+    install_log: str
+
+    def run(self, code: str, *arguments: str, timeout: float = 120.0) -> subprocess.CompletedProcess[str]:
+        """Run code in a Blender started afresh on this profile, the extension switched on."""
+        return run_python(self.folder, START + textwrap.dedent(code), *arguments, timeout=timeout)
+
+
+def run_python(profile: Path, code: str, *arguments: str, timeout: float) -> subprocess.CompletedProcess[str]:
+    environment = {key: value for key, value in os.environ.items() if not key.startswith(("BLENDER_", "PYTHON"))}
+    environment |= {"BLENDER_USER_RESOURCES": str(profile), "HOME": str(profile), "PYTHONUNBUFFERED": "1"}
+    return subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        cwd=profile,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        stdin=subprocess.DEVNULL,
+    )
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("extension")
+    target = build_extension.Target(PYTHON, "linux-x64")
+    return build_extension.build(target, folder / "dist", folder / "staging")
+
+
+@pytest.fixture(scope="module")
+def profile(archive: Path, tmp_path_factory: pytest.TempPathFactory) -> Profile:
+    folder = tmp_path_factory.mktemp("profile")
+    code = """
+        import sys, bpy
+        print(bpy.ops.extensions.package_install_files(
+            filepath=sys.argv[1], repo='user_default', enable_on_install=True, overwrite=True))
+        bpy.ops.wm.save_userpref()
+    """
+    run = run_python(folder, textwrap.dedent(code), str(archive), timeout=240)
+    log = run.stdout + run.stderr
+    assert run.returncode == 0, log
+    assert "FINISHED" in run.stdout, log
+    return Profile(folder, log)
+
+
+def test_blenders_own_validator_accepts_the_zip(archive: Path) -> None:
+    assert "Success" in build_extension.run_blender_tool("validate", str(archive))
+
+
+def test_the_validator_can_refuse(archive: Path, tmp_path: Path) -> None:
+    with zipfile.ZipFile(archive) as zipped:
+        manifest = zipped.read("blender_manifest.toml").decode()
+    (tmp_path / "__init__.py").touch()
+    (tmp_path / "blender_manifest.toml").write_text(manifest.replace("Touch a scene", "x" * 80))
+    with pytest.raises(build_extension.BuildError, match="tagline"):
+        build_extension.run_blender_tool("validate", str(tmp_path))
+
+
+def test_the_zip_holds_code_data_licence_and_wheels_and_nothing_else(archive: Path) -> None:
+    with zipfile.ZipFile(archive) as zipped:
+        names = set(zipped.namelist())
+    assert {"__init__.py", "blender_manifest.toml", "LICENSE", "hnf_core/__init__.py"} <= names
+    assert {Path(name).suffix for name in names if name.startswith("wheels/")} == {".whl"}
+    assert not [name for name in names if "__pycache__" in name or name.startswith(("hnf_blender/", "tests/"))]
+    data = {str(p.relative_to(build_extension.ROOT)) for p in (build_extension.ROOT / "hnf_core").rglob("data/*")}
+    assert {name for name in data if Path(name).is_file()} <= names
+    assert archive.stat().st_size < 60 * MEGABYTE
+
+
+def test_no_wheel_brings_numpy_torch_or_scipy(archive: Path) -> None:
+    with zipfile.ZipFile(archive) as zipped:
+        wheels = [Path(name).name.lower() for name in zipped.namelist() if name.startswith("wheels/")]
+    assert wheels
+    assert not [name for name in wheels if name.startswith(("numpy-", "torch", "scipy"))]
+
+
+def test_it_installs_and_enables_without_a_complaint(profile: Profile) -> None:
+    for word in ("Traceback", "Error", "Warning: ", "WARNING"):
+        assert word not in profile.install_log, profile.install_log
+
+
+def test_enabled_it_loads_nothing_foreign(profile: Profile) -> None:
+    code = f"""
+        import json
+        print('RESULT', json.dumps({{
+            'enabled': '{PACKAGE}' in bpy.context.preferences.addons,
+            'loaded': '{PACKAGE}' in sys.modules,
+            'foreign': [name for name in {FOREIGN!r} if name in sys.modules],
+        }}))
+    """
+    run = profile.run(code)
+    assert run.returncode == 0, run.stderr
+    assert result_of(run) == {"enabled": True, "loaded": True, "foreign": []}
+    assert "Traceback" not in run.stdout + run.stderr
+
+
+def test_its_wheels_are_unpacked_into_the_profile_and_work(profile: Profile) -> None:
+    """Blender puts them before other packages on the path, so these are the wheels' own files beside its numpy."""
+    code = """
+        import json, OpenEXR, embreex.rtcore_scene, matplotlib, numpy, safetensors.numpy
+        matplotlib.use('Agg')
+        import matplotlib.pyplot as plt
+        figure = plt.figure()
+        figure.add_subplot().plot([0, 1], [0, 1])
+        figure.savefig('figure.png')
+        saved = safetensors.numpy.save({'a': numpy.ones(3, numpy.float32)})
+        assert safetensors.numpy.load(saved)['a'].tolist() == [1.0, 1.0, 1.0]
+        OpenEXR.File({}, {'Y': numpy.ones((4, 4), numpy.float32)}).write('image.exr')
+        scene = embreex.rtcore_scene.EmbreeScene()
+        modules = (OpenEXR, embreex, matplotlib, safetensors)
+        print('RESULT', json.dumps({'files': [module.__file__ for module in modules]}))
+    """
+    run = profile.run(code)
+    assert run.returncode == 0, run.stdout + run.stderr
+    files = result_of(run)["files"]
+    assert isinstance(files, list)
+    assert [name for name in files if not name.startswith(str(profile.folder / "extensions" / ".local"))] == []
+
+
+def test_it_can_be_switched_off_and_on_again(profile: Profile) -> None:
+    code = f"""
+        import addon_utils, json
+        before = {{name for name in dir(bpy.types) if 'hnf' in name.lower()}}
+        addon_utils.disable('{PACKAGE}')
+        left = [name for name in dir(bpy.types) if 'hnf' in name.lower()]
+        addon_utils.enable('{PACKAGE}')
+        after = {{name for name in dir(bpy.types) if 'hnf' in name.lower()}}
+        print('RESULT', json.dumps({{'left': left, 'back': before == after}}))
+    """
+    run = profile.run(code)
+    assert run.returncode == 0, run.stderr
+    assert result_of(run) == {"left": [], "back": True}
+    assert "Traceback" not in run.stdout + run.stderr
+
+
+def test_the_main_job_runs_through_the_installed_addon(profile: Profile, tmp_path: Path) -> None:
+    scene, out = tmp_path / "plane.blend", tmp_path / "out"
+    write_scene(profile, scene)
+    code = f"""
+        import importlib, json
+        cli = importlib.import_module('{PACKAGE}.cli')
+        code = cli.main(['touch', sys.argv[1], '--out', sys.argv[2], '--stroke', 'left-right-soft', '--on', 'Plane'])
+        print('RESULT', json.dumps({{
+            'code': code, 'foreign': [name for name in {FOREIGN!r} if name in sys.modules]}}))
+    """
+    run = profile.run(code, str(scene), str(out), timeout=280)
+    assert run.returncode == 0, run.stdout + run.stderr
+    result = result_of(run)
+    assert (result["code"], result["foreign"]) == (0, []), run.stdout + run.stderr
+    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    assert report["failed"] == []
+    (stroke,) = report["strokes"]
+    assert (out / stroke["wav"]).stat().st_size > 1000
+    assert 0.0 < stroke["rms_m_s2"] < 100.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [(["touch", "no-such-scene.blend", "--out", "out"], 1), (["touch", "x.blend"], 2), (["no-such-verb"], 2)],
+)
+def test_exit_codes_of_the_installed_command_line(profile: Profile, arguments: list[str], code: int) -> None:
+    script = f"""
+        import importlib
+        sys.exit(importlib.import_module('{PACKAGE}.cli').main({arguments!r}))
+    """
+    run = profile.run(script)
+    assert run.returncode == code, run.stdout + run.stderr
+    assert "Traceback" not in run.stderr
+
+
+def write_scene(profile: Profile, path: Path) -> None:
+    """A 100 mm square with a sine bump of 2 mm, facing up."""
+    code = """
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        bpy.ops.mesh.primitive_plane_add(size=0.1)
+        material = bpy.data.materials.new('Ribs')
+        material.use_nodes = True
+        nodes, links = material.node_tree.nodes, material.node_tree.links
+        wave, bump = nodes.new('ShaderNodeTexWave'), nodes.new('ShaderNodeBump')
+        wave.inputs['Scale'].default_value = 20.0
+        bump.inputs['Distance'].default_value = 1e-4
+        shader = next(node for node in nodes if node.type == 'BSDF_PRINCIPLED')
+        links.new(wave.outputs['Fac'], bump.inputs['Height'])
+        links.new(bump.outputs['Normal'], shader.inputs['Normal'])
+        bpy.context.object.data.materials.append(material)
+        bpy.ops.wm.save_as_mainfile(filepath=sys.argv[1])
+    """
+    run = profile.run(code, str(path))
+    assert path.is_file(), run.stdout + run.stderr
+
+
+def result_of(run: subprocess.CompletedProcess[str]) -> dict[str, object]:
+    """The JSON after the word RESULT."""
+    lines = [line for line in run.stdout.splitlines() if line.startswith("RESULT ")]
+    assert len(lines) == 1, run.stdout + run.stderr
+    found: dict[str, object] = json.loads(lines[0].removeprefix("RESULT "))
+    return found
