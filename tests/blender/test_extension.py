@@ -27,7 +27,8 @@ FOREIGN = ("torch", "scipy", "hnf_core", "hnf_blender")
 # As `blender -b` starts: preferences read, their add-ons on. The 4.2 module crashes in read_userpref, on any profile;
 # there the extension is switched on by hand.
 START = f"""
-import addon_utils, bpy, sys
+import bpy, sys  # first: it puts Blender's modules on the path
+import addon_utils
 if bpy.app.version >= (4, 5, 0):
     bpy.ops.wm.read_userpref()
 else:
