@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
 from hnf_core.errors import FileError, MaterialError
 from hnf_core.material.mechanics import UNKNOWN, Mechanics
 from hnf_core.material.palette import MERGE_TOLERANCE, Palette, build_palette
 from hnf_core.material.token import TOKEN_DIM
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 
 finite = st.floats(-100, 100, width=32)
 values = st.none() | st.floats(1e-3, 1e6)
@@ -42,7 +43,7 @@ def test_every_index_leads_to_its_own_material_within_the_tolerance(items):
         assert np.max(np.abs(palette.tokens[i].astype(float) - token), initial=0.0) <= MERGE_TOLERANCE
 
 
-@pytest.fixture()
+@pytest.fixture
 def pair() -> Palette:
     rng = np.random.default_rng(0)
     both = [rng.standard_normal(TOKEN_DIM).astype(np.float32) for _ in range(2)]
