@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import SceneError
+from ..errors import SceneError, StrokeError
 from ..scene.mesh import TriangleMesh
 from ..scene.raycast import Closest
-from .deforming import DeformingMesh, carried_normals
+from .deforming import DeformingMesh, to_rest
 from .nearest import nearest_on_triangles
 
 Float = NDArray[np.float64]
@@ -42,13 +42,14 @@ class StrokeSamples:
 
 @dataclass(frozen=True)
 class Contacts:
-    """The touch, sample by sample, in the surface frame (SI units).
+    """The touch, sample by sample, in the surface frame (SI units), on a deforming surface in its shape at rest:
+    tokens, patches and height maps belong to the material, wherever it has moved to.
 
     time, position, force: as in StrokeSamples (on a moving surface position is the way travelled relative to it).
     point: (n, 3) on the surface. normal: (n, 3) unit, interpolated. uv_tangent: (n, 3) unit, orthogonal to normal:
     ∂p/∂u, or where uv_known (n,) is False an axis of the object. triangle, face, slot: (n,). barycentric: (n, 3).
-    velocity: (n, 3) m/s relative to the surface's material, tangential; its length is the speed. on_surface: (n,)
-    bool, distance within the tolerance. distance: (n,) m between curve and surface.
+    velocity: (n, 3) m/s relative to the surface's material, tangential; its length is the speed as it happened.
+    on_surface: (n,) bool, distance within the tolerance. distance: (n,) m between curve and surface.
     """
 
     time: Float
@@ -91,19 +92,20 @@ def find_contacts(
     moving = samples.moving or isinstance(surface, DeformingMesh)
     if isinstance(surface, DeformingMesh):
         hit, corners, drift = surface.nearest(samples.time, samples.point)
-        normals = carried_normals(mesh, hit.triangle, corners)
         relative = path_velocity - drift
+        at_rest = to_rest(mesh, hit.triangle, corners, relative)
+        tangent = to_rest(mesh, hit.triangle, corners, samples.tangent)
     else:
         hit = nearest_on_triangles(samples.point, mesh.corner_positions())
-        corners, normals = mesh.corner_positions()[hit.triangle], mesh.normals[hit.triangle]
-        relative = path_velocity
-    normal = interpolated_normals(normals, corners, hit)
-    uv = None if mesh.uv is None else mesh.uv[hit.triangle]
-    uv_tangent, uv_known = tangents(corners, uv, normal)
-    velocity = _along_surface(relative, normal)
+        relative = at_rest = path_velocity
+        tangent = samples.tangent
+    corners = mesh.vertices[mesh.triangles[hit.triangle]]
+    normal = interpolated_normals(mesh.normals[hit.triangle], corners, hit)
+    uv_tangent, uv_known = tangents(corners, None if mesh.uv is None else mesh.uv[hit.triangle], normal)
+    velocity = _along_surface(at_rest, np.linalg.norm(relative, axis=1), normal)
     return Contacts(
         time=samples.time,
-        point=hit.position,
+        point=np.einsum("nc,ncx->nx", hit.barycentric, corners),
         normal=normal,
         uv_tangent=uv_tangent,
         uv_known=uv_known,
@@ -111,7 +113,7 @@ def find_contacts(
         barycentric=hit.barycentric,
         face=mesh.face[hit.triangle],
         slot=mesh.slot[hit.triangle],
-        position=_travelled(samples, velocity) if moving else samples.position,
+        position=_travelled(samples, velocity, tangent) if moving else samples.position,
         velocity=velocity,
         force=samples.force,
         on_surface=hit.distance <= tolerance_m,
@@ -162,18 +164,32 @@ def _on_plane(direction: Float, normal: Float) -> tuple[Float, Bool]:
     return flat / np.where(good, length, 1.0)[:, None], good
 
 
-def _along_surface(velocity: Float, normal: Float) -> Float:
-    """Tangential velocity that keeps the curve's own speed: a drawn curve and a facet's interpolated normal differ
-    by some degrees, and projecting would make the speed hum at the facets' rate."""
+def _along_surface(velocity: Float, speed: Float, normal: Float) -> Float:
+    """Tangential velocity that keeps the speed (n,): a drawn curve and a facet's interpolated normal differ by some
+    degrees, and projecting would make the speed hum at the facets' rate."""
     flat = velocity - normal * np.einsum("nx,nx->n", velocity, normal)[:, None]
-    speed, along = np.linalg.norm(velocity, axis=1), np.linalg.norm(flat, axis=1)
-    wanted = np.minimum(speed, along / STEEP_COSINE)
-    return np.asarray(flat * np.divide(wanted, along, out=np.zeros_like(along), where=along > 0.0)[:, None])
+    size, along = np.linalg.norm(velocity, axis=1), np.linalg.norm(flat, axis=1)
+    share = np.minimum(1.0, np.divide(along, size * STEEP_COSINE, out=np.zeros_like(size), where=size > 0.0))
+    return np.asarray(flat * np.divide(speed * share, along, out=np.zeros_like(along), where=along > 0.0)[:, None])
 
 
-def _travelled(samples: StrokeSamples, velocity: Float) -> Float:
+def _travelled(samples: StrokeSamples, velocity: Float, tangent: Float) -> Float:
     """Signed way relative to a moving surface: backward where it runs against the curve's direction."""
-    sign = np.where(np.einsum("nx,nx->n", velocity, samples.tangent) < 0.0, -1.0, 1.0)
+    sign = np.where(np.einsum("nx,nx->n", velocity, tangent) < 0.0, -1.0, 1.0)
     rate = sign * np.linalg.norm(velocity, axis=1)
     way = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2.0 * np.diff(samples.time))])
     return np.asarray(samples.position[0] + way)
+
+
+def require_contact(contacts: Contacts, *, where: str, surface: str) -> None:
+    """Raises StrokeError, with the distance, where no sample touches surface (its name) with force."""
+    if (contacts.on_surface & (contacts.force > 0.0)).any():
+        return
+    if not contacts.on_surface.any():
+        nearest = float(contacts.distance.min())
+        raise StrokeError(
+            f"it touches nothing: '{surface}' stays {nearest * 1e3:.3g} mm away.",
+            where=where,
+            remedy="Move the curve onto the surface, or snap its points to faces.",
+        )
+    raise StrokeError("it never presses: force is 0 all along.", where=where, remedy="Key a force above 0 N.")

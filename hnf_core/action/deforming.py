@@ -83,20 +83,17 @@ class DeformingMesh:
         return list(weights), list(weights.values())
 
 
-def carried_normals(mesh: TriangleMesh, triangle: Int, corners: Float) -> Float:
-    """Corner normals (n, 3, 3) of triangles whose corners moved to (n, 3, 3): normals go with the inverse transpose
-    of each triangle's deformation gradient."""
+def to_rest(mesh: TriangleMesh, triangle: Int, corners: Float, vectors: Float) -> Float:
+    """Vectors (n, 3) on triangles whose corners moved to (n, 3, 3), carried back to the shape at rest by the inverse
+    of each triangle's deformation gradient; lengths change as the surface was stretched."""
     rest, moved = _frames(mesh.vertices[mesh.triangles[triangle]]), _frames(corners)
-    good = (np.abs(np.linalg.det(rest)) > 1e-30) & (np.abs(np.linalg.det(moved)) > 1e-30)
-    identity = np.eye(3)
-    rest, moved = np.where(good[:, None, None], rest, identity), np.where(good[:, None, None], moved, identity)
-    gradient = moved @ np.linalg.inv(rest)
-    carried = np.einsum("nyx,ncy->ncx", np.linalg.inv(gradient), mesh.normals[triangle])
-    return np.asarray(carried / np.linalg.norm(carried, axis=2, keepdims=True))
+    flat = np.abs(np.linalg.det(moved)) <= 1e-30  # a triangle without area tells nothing of how it turned
+    rest[flat] = moved[flat] = np.eye(3)
+    return np.asarray((rest @ np.linalg.solve(moved, vectors[:, :, None]))[:, :, 0])
 
 
 def _frames(corners: Float) -> Float:
-    """Edge, edge and normal as the columns of (n, 3, 3)."""
+    """Edge, edge and normal (as long as the edges) as the columns of (n, 3, 3)."""
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(first, second)
     size = np.sqrt(np.maximum(np.linalg.norm(normal, axis=1), 1e-300))

@@ -10,13 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.action.bezier import poly_curve, smooth_curve
-from hnf_core.action.contacts import StrokeSamples, find_contacts
+from hnf_core.action.contacts import StrokeSamples, find_contacts, require_contact
 from hnf_core.action.curves import by_arc_length
 from hnf_core.action.deforming import DeformingMesh
 from hnf_core.action.nearest import nearest_on_triangles
 from hnf_core.action.patches import action_from_contacts, covers, path_on_patches, plan_patches
 from hnf_core.action.time_law import motion_at_speed, motion_from_progress
-from hnf_core.errors import SceneError
+from hnf_core.errors import SceneError, StrokeError
 from hnf_core.scene.mesh import TriangleMesh
 from hnf_core.scene.raycast import ReferenceGeometry
 
@@ -304,17 +304,36 @@ def test_riding_along_is_rest():
     assert np.abs(action.speed).max() < 1e-9
 
 
-def test_stretching_surface_carries_its_normals():
-    """z = a(t) x: the normal of a tilting plane follows from its corners."""
+def test_tilting_and_stretching_surface_is_felt_at_rest():
+    """A sheet that leans over (z = a(t) x) under a hand that follows it: contacts stay with the material."""
     mesh = grid_mesh(n=4)
     time = np.linspace(0, 1, 30)
     vertices = np.repeat(mesh.vertices[None], 30, axis=0)
     vertices[:, :, 2] = time[:, None] * vertices[:, :, 0]
-    samples = stroke([[0.0, 0.01, 0.0]], progress=np.zeros(201))
-    contacts = find_contacts(samples, DeformingMesh(mesh, time, vertices))
-    expected = np.stack([-samples.time, 0 * samples.time, 1 + 0 * samples.time], 1)[:201]
-    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
-    assert np.allclose(contacts.normal, expected, atol=1e-9)
+    samples = stroke([[0.02, 0.01, 0.0]], progress=np.zeros(201))
+    following = samples.point + np.outer(samples.time, [0, 0, 0.02])
+    contacts = find_contacts(
+        dataclasses.replace(samples, point=following, moving=True), DeformingMesh(mesh, time, vertices)
+    )
+    assert np.allclose(contacts.normal, [0, 0, 1], atol=1e-12)
+    assert np.allclose(contacts.point, samples.point, atol=1e-12)
+    assert np.abs(contacts.velocity).max() < 1e-9
+    # The same hand crosses a sheet stretched to twice its length at its own speed, in half as much material.
+    wide = np.repeat((mesh.vertices * [2.0, 1.0, 1.0])[None], 2, axis=0)
+    along = stroke(LINE)
+    stretched = find_contacts(along, DeformingMesh(mesh, np.array([0.0, 9.0]), wide))
+    assert np.allclose(np.linalg.norm(stretched.velocity, axis=1), np.abs(along.velocity), atol=1e-12)
+    assert np.allclose(stretched.point, along.point * [0.5, 1, 1], atol=1e-12)
+
+
+def test_touching_nothing_is_said():
+    samples = stroke([[0.0, 0.0, 0.02], [0.01, 0.0, 0.02]])
+    with pytest.raises(StrokeError, match="Scrape: it touches nothing: 'Cup' stays 20 mm away"):
+        require_contact(find_contacts(samples, grid_mesh()), where="Scrape", surface="Cup")
+    weak = stroke(LINE, force=0.0)
+    with pytest.raises(StrokeError, match="Scrape: it never presses"):
+        require_contact(find_contacts(weak, grid_mesh()), where="Scrape", surface="Cup")
+    require_contact(find_contacts(stroke(LINE), grid_mesh()), where="Scrape", surface="Cup")
 
 
 def test_static_deforming_mesh_equals_the_mesh():

@@ -1,0 +1,84 @@
+"""Object.hnf_stroke: what makes a curve object a stroke. Its force and progress are keyframed like any property, so
+the Graph Editor is the force editor."""
+
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
+from typing import Any
+
+import bpy
+
+from hnf_core.material.mechanics import PROBES
+
+FORCE_MAX_N = 20.0
+
+LAWS = (
+    ("PROGRESS", "Progress keys", "Where along the curve the hand is at each frame comes from the keyed progress"),
+    ("SPEED", "Speed", "From end to end at a constant speed, unless progress is keyed"),
+    ("DURATION", "Duration", "From end to end in a given time, unless progress is keyed"),
+)
+
+
+def _can_be_touched(_group: Any, candidate: Any) -> bool:
+    return candidate.type in {"MESH", "SURFACE", "META", "FONT", "CURVE"}
+
+
+class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no types
+    is_stroke: bpy.props.BoolProperty(
+        name="Stroke", description="This curve is a stroke: a path along which the surface is touched", default=False
+    )
+    mute: bpy.props.BoolProperty(name="Mute", description="Leave this stroke out", default=False)
+    start: bpy.props.FloatProperty(name="Start", description="Frame at which the stroke begins", default=1.0)
+    force: bpy.props.FloatProperty(
+        name="Force",
+        description="Normal force of the touch in newtons; 0 is no contact",
+        default=1.0,
+        min=0.0,
+        max=FORCE_MAX_N,
+        soft_max=5.0,
+        precision=3,
+    )
+    progress: bpy.props.FloatProperty(
+        name="Progress",
+        description="Place along the curve as a share of its length; may run backward",
+        default=0.0,
+        min=0.0,
+        max=1.0,
+        precision=4,
+    )
+    law: bpy.props.EnumProperty(
+        name="Time law", description="What moves the hand where progress is not keyed", items=LAWS, default="SPEED"
+    )
+    speed_mm_s: bpy.props.FloatProperty(
+        name="Speed", description="Millimetres per second", default=100.0, min=0.1, max=10_000.0, soft_max=500.0
+    )
+    duration_s: bpy.props.FloatProperty(
+        name="Duration", description="Seconds from end to end", default=1.0, min=0.01, max=600.0
+    )
+    seed: bpy.props.IntProperty(
+        name="Seed", description="The same stroke with the same seed gives the same signal", default=0, min=0
+    )
+    probe: bpy.props.EnumProperty(
+        name="Probe",
+        description="What touches the surface",
+        items=[(name, name.capitalize(), f"Touch with the {name}") for name in PROBES],
+        default="pen",
+    )
+    surface: bpy.props.PointerProperty(
+        name="Surface",
+        description="Object that is touched; empty: the nearest visible mesh",
+        type=bpy.types.Object,
+        poll=_can_be_touched,
+    )
+    material: bpy.props.StringProperty(
+        name="Material", description="Library material to use whatever the surface looks like; empty: as baked"
+    )
+
+
+def register() -> None:
+    bpy.utils.register_class(HnfStroke)
+    bpy.types.Object.hnf_stroke = bpy.props.PointerProperty(type=HnfStroke)
+
+
+def unregister() -> None:
+    del bpy.types.Object.hnf_stroke
+    bpy.utils.unregister_class(HnfStroke)
