@@ -1,0 +1,1 @@
+"""Blender on one side, numpy and hnf_core on the other."""

@@ -1,0 +1,344 @@
+"""Close-ups: a contact patch seen by a touch sensor's camera, and what its shader says of height and material.
+
+One Cycles sample a pixel, exactly at its centre, of the touched object alone; every quantity is an AOV pass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.material.material import Appearance
+from hnf_core.scene.camera import Camera
+from hnf_core.scene.patch import CAMERA_DISTANCE_M, Patch
+from hnf_core.scene.raycast import CastView, RayCaster, cast_view
+from hnf_core.scene.view import RgbdView
+from hnf_core.tactile.height import fill_masked, integrate_gradients
+
+from .appearance import Layers, average_appearance, closures, mixed, shading_value
+from .meshes import Surface, ray_caster
+from .render import add_aovs, add_camera, aim, geometry_only, prepare_cycles, render_passes
+from .shader_height import ImageTap, MicroGeometry, Relief, Slopes
+from .stage import SlotReading, Stage, set_stage, tap_slot
+from .taps import Passes
+from .temporary import Temporary
+
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+FLAT_M = 1e-9
+"""A relief lower than this is no micro-geometry: the shader says nothing."""
+USUAL_HEIGHT_M = (0.5e-6, 2e-3)
+"""Peak-to-peak heights outside this are most likely an artist's slip, or a bump made for looks."""
+STEEPEST = 4.0
+"""Depth steps steeper than this between neighbouring pixels part two surfaces (76°)."""
+
+
+@dataclass(frozen=True)
+class CloseUp:
+    """A patch as its shader describes it.
+
+    patch: where. view: albedo (or, with samples, the lit picture) as rgb, planar depth, evaluated polygon ids and
+    shading normals in the surface frame. height: (H, W) float32 metres, +z along the patch normal, mean 0 over mask
+    and 0 outside it; None where the shader has no micro-geometry. height_source: where the metres come from.
+    appearance: shading values averaged over mask. mask: (H, W) bool, True where the patch's own connected surface in
+    its own material slot is seen. resolved_wavelength_m: shortest wavelength that the height resolves (two texels of
+    its finest image, two pixels where procedural), inf without height. notes: what the artist should know.
+    faces: evaluated polygons under mask. rays: cast for this close-up. renders: made for it.
+    """
+
+    patch: Patch
+    view: RgbdView
+    height: NDArray[np.float32] | None
+    height_source: str
+    appearance: Appearance
+    mask: Mask
+    resolved_wavelength_m: float
+    notes: tuple[str, ...]
+    faces: NDArray[np.int32]
+    rays: int
+    renders: int
+
+    @property
+    def metres_per_pixel(self) -> float:
+        return self.patch.size_m / self.mask.shape[1]
+
+
+def render_closeup(obj: Any, patch: Patch, **options: Any) -> CloseUp:
+    """render_closeups for one patch."""
+    return render_closeups(obj, [patch], **options)[0]
+
+
+def render_closeups(
+    obj: Any,
+    patches: Sequence[Patch],
+    *,
+    surface: Surface | None = None,
+    caster: RayCaster | None = None,
+    pixels: int = 512,
+    metres_per_unit: float = 1.0,
+    frame: float | None = None,
+    samples: int | None = None,
+) -> list[CloseUp]:
+    """Close-ups of several patches of one object, on one temporary stage: one render a patch.
+
+    obj: the touched object. patches: in its surface frame. surface, caster: of obj at frame, made here where not
+    given. pixels: side of the square image. metres_per_unit: of the user's scene. frame: scene frame, None = now.
+    samples: also light the patch with a neutral dome and render the original shader with so many samples (rgb).
+    Raises SceneError for a missing texture (naming object, material and image) and where there is no surface. The
+    user's file is left as it was, also on errors.
+    """
+    if not patches:
+        return []
+    where = f"object '{obj.name}'"
+    with Temporary() as temporary:
+        prepare_cycles(temporary.scene, samples=1)
+        geometry_only(temporary.scene)
+        stage = set_stage(temporary, obj, metres_per_unit, frame, surface)
+        surface = stage.surface
+        caster = caster or ray_caster(surface.mesh)
+        readings = {slot: tap_slot(stage, slot, where) for slot in sorted({patch.slot for patch in patches})}
+        taps = [tap for reading in readings.values() for tap in reading.taps]
+        add_aovs(temporary.view_layer, taps)
+        camera_object = add_camera(temporary)
+        temporary.scene.render.use_persistent_data = len(patches) > 1
+        made = []
+        for patch in patches:
+            camera, rays = _unoccluded(patch, pixels, caster)
+            passes: Passes = {}
+            if readings[patch.slot].taps:
+                aim(temporary.scene, camera_object, camera, stage.rigid, stage.metres_per_unit)
+                passes = render_passes(temporary)
+            seen = cast_view(caster, surface.mesh, camera)
+            scene = _Seen(patch, camera, seen, passes, readings[patch.slot], stage, metres_per_unit)
+            made.append(_closeup(scene, surface, rays + seen.depth.size))
+    if samples:
+        from .picture import lit_pictures
+
+        pictures = lit_pictures(obj, [each.view.camera for each in made], samples, metres_per_unit, frame)
+        made = [
+            replace(each, view=replace(each.view, rgb=rgb), renders=each.renders + 1)
+            for each, rgb in zip(made, pictures, strict=True)
+        ]
+    return made
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """All that is known of one patch after rendering and casting."""
+
+    patch: Patch
+    camera: Camera
+    cast: CastView
+    passes: Passes
+    slot: SlotReading
+    stage: Stage
+    metres_per_unit: float
+
+    @property
+    def pixel_m(self) -> float:
+        return self.patch.size_m / self.camera.width
+
+
+def _unoccluded(patch: Patch, pixels: int, caster: RayCaster) -> tuple[Camera, int]:
+    """The patch's camera, its near clip moved under whatever part of the object hangs over the patch's centre."""
+    camera = patch.camera(pixels)
+    lift = 1e-4 * patch.size_m
+    above = float(caster.cast((patch.centre + lift * patch.normal)[None], patch.normal[None]).distance[0]) + lift
+    if above < CAMERA_DISTANCE_M:
+        camera = replace(camera, clip_start=CAMERA_DISTANCE_M - above / 2.0)
+    return camera, 1
+
+
+def _closeup(seen: _Seen, surface: Surface, rays: int) -> CloseUp:
+    mask = _own_surface(seen, surface)
+    layers = seen.slot.reading.layers
+    notes = [*seen.stage.notes, *seen.slot.reading.notes]
+    height, source, resolved = _height(seen, mask, notes)
+    rgb = None if layers is None else mixed(layers, seen.passes, partial(shading_value, "base_color", seen.passes))
+    shape = mask.shape
+    albedo = np.zeros((*shape, 3), np.float32) if rgb is None else np.broadcast_to(rgb, (*shape, 3)).astype(np.float32)
+    view = RgbdView(
+        camera=seen.camera,
+        rgb=np.where((seen.cast.triangle >= 0)[..., None], albedo, np.float32(0.0)),
+        depth=seen.cast.depth.astype(np.float32),
+        face_id=seen.cast.face_id,
+        normal=seen.cast.normal.astype(np.float32),
+    )
+    return CloseUp(
+        patch=seen.patch,
+        view=view,
+        height=height,
+        height_source=source,
+        appearance=average_appearance(layers, seen.passes, mask),
+        mask=mask,
+        resolved_wavelength_m=resolved,
+        notes=tuple(dict.fromkeys(notes)),
+        faces=np.unique(seen.cast.face_id[mask]),
+        rays=rays,
+        renders=1 if seen.passes else 0,
+    )
+
+
+def _own_surface(seen: _Seen, surface: Surface) -> Mask:
+    """Pixels of the patch's slot that connect to its centre without a step in depth."""
+    slot = np.where(seen.cast.triangle >= 0, surface.mesh.slot[seen.cast.triangle], -1)
+    own = slot == seen.patch.slot
+    depth = np.where(own, seen.cast.depth, 0.0)
+    limit = STEEPEST * seen.pixel_m
+    right = own[:, 1:] & own[:, :-1] & (np.abs(np.diff(depth, axis=1)) <= limit)
+    down = own[1:] & own[:-1] & (np.abs(np.diff(depth, axis=0)) <= limit)
+    rows, columns = own.shape
+    reached = np.zeros_like(own)
+    middle = (slice(rows // 2 - 1, rows // 2 + 1), slice(columns // 2 - 1, columns // 2 + 1))
+    at_centre = own[middle] & (np.abs(depth[middle] - CAMERA_DISTANCE_M) <= CAMERA_DISTANCE_M / 4.0)
+    reached[middle] = at_centre
+    return flood(reached, right, down)
+
+
+def flood(seed: Mask, right: Mask, down: Mask) -> Mask:
+    """Everything connected to seed (H, W); right (H, W−1) and down (H−1, W) say which neighbours are joined."""
+    reached = seed.copy()
+    while True:
+        before = int(reached.sum())
+        for column in range(right.shape[1]):
+            reached[:, column + 1] |= reached[:, column] & right[:, column]
+        for column in reversed(range(right.shape[1])):
+            reached[:, column] |= reached[:, column + 1] & right[:, column]
+        for row in range(down.shape[0]):
+            reached[row + 1] |= reached[row] & down[row]
+        for row in reversed(range(down.shape[0])):
+            reached[row] |= reached[row + 1] & down[row]
+        if int(reached.sum()) == before:
+            return reached
+
+
+def _height(seen: _Seen, mask: Mask, notes: list[str]) -> tuple[NDArray[np.float32] | None, str, float]:
+    """Height in metres (mean 0 over mask), its source, and the shortest wavelength it resolves."""
+    layers, displacement = seen.slot.reading.layers, seen.slot.reading.displacement
+    nothing = (None, "", float("inf"))
+    if not mask.any() or not seen.passes:
+        return nothing
+    micros = [each.micro for each in closures(layers)] + [displacement]
+    reliefs = [relief for micro in micros for relief in micro.reliefs]
+    slopes = [slope for micro in micros for slope in micro.slopes]
+    height = np.zeros(mask.shape)
+    used: list[Relief | Slopes] = []
+    if reliefs:
+        height = height + _relief(seen, layers, displacement)
+        used.extend(reliefs)
+    if slopes and displacement.reliefs:
+        notes.append("a normal map beside a Displacement is not counted: they mostly show the same relief.")
+    elif slopes and layers is not None:
+        height = height + _integrated(seen, layers, mask, notes)
+        used.extend(slopes)
+    height = np.where(mask, height - height[mask].mean(), 0.0)
+    span = float(np.ptp(height[mask]))
+    if not np.isfinite(span):
+        notes.append("the shader's height is not a number here: it is not used.")
+        return nothing
+    if span < FLAT_M:
+        return nothing
+    if not USUAL_HEIGHT_M[0] <= span <= USUAL_HEIGHT_M[1]:
+        notes.append(
+            f"material '{seen.slot.material}': its relief is {span * 1e3:.3g} mm from top to bottom; "
+            "0.0005–2 mm is usual. Check Distance, Strength and the scene's unit scale."
+        )
+    resolved = resolved_wavelength(used, seen.passes, mask, seen.pixel_m)
+    return height.astype(np.float32), "; ".join(dict.fromkeys(each.source for each in used)), resolved
+
+
+def _relief(seen: _Seen, layers: Layers | None, displacement: MicroGeometry) -> Float:
+    total = _sum(seen, displacement.reliefs)
+    bumps = None if layers is None else mixed(layers, seen.passes, lambda each: _sum(seen, each.micro.reliefs))
+    return total if bumps is None else total + bumps
+
+
+def _sum(seen: _Seen, reliefs: Sequence[Relief]) -> Float:
+    total = np.zeros((seen.camera.height, seen.camera.width))
+    for relief in reliefs:
+        scale = seen.metres_per_unit
+        if relief.in_object_space:
+            # A step along the object's own normal, as long as the object's scale makes it.
+            along = seen.stage.stretch.T @ seen.patch.normal
+            step = seen.stage.stretch @ (along / np.linalg.norm(along))
+            scale = float(step @ seen.patch.normal)
+        total = total + scale * relief.tap.read(seen.passes)
+    return total
+
+
+def _integrated(seen: _Seen, layers: Layers, mask: Mask, notes: list[str]) -> Float:
+    """Height whose slopes against the smooth surface are those of the normal maps."""
+
+    def along(axis: int) -> Float | None:
+        return mixed(layers, seen.passes, lambda each: _slope(seen, each.micro, axis))
+
+    gx, gy = along(0), along(1)
+    if gx is None or gy is None:
+        return np.zeros(mask.shape)
+    valid = mask & np.isfinite(gx) & np.isfinite(gy)
+    if not valid.any():
+        return np.zeros(mask.shape)
+    if looks_flipped(gx, gy, valid):
+        notes.append(
+            f"material '{seen.slot.material}': its normal map looks like a DirectX one (green points down); "
+            "invert its green channel."
+        )
+    gx, gy = (fill_masked(slope - slope[valid].mean(), valid) for slope in (gx, gy))
+    return integrate_gradients(gx, gy, seen.pixel_m)
+
+
+def _slope(seen: _Seen, micro: MicroGeometry, axis: int) -> Float:
+    """∂h/∂x (axis 0) or ∂h/∂y (axis 1) of a closure in the patch frame; 0 where it has no normal map."""
+    total = np.zeros((seen.camera.height, seen.camera.width))
+    smooth = seen.cast.normal
+    frame = seen.patch.x_axis - smooth * (smooth @ seen.patch.x_axis)[..., None]
+    length = np.linalg.norm(frame, axis=-1, keepdims=True)
+    x_axis = frame / np.where(length > 0.0, length, 1.0)
+    tangent = x_axis if axis == 0 else np.cross(smooth, x_axis)
+    for slopes in micro.slopes:
+        normal = slopes.tap.read(seen.passes) @ seen.stage.rigid[:3, :3]
+        up = np.sum(normal * smooth, axis=-1)
+        lean = np.sum(normal * tangent, axis=-1)
+        total = total - np.clip(lean / np.where(up > 0.05, up, np.nan), -10.0, 10.0)
+    return total
+
+
+def looks_flipped(gx: Float, gy: Float, mask: Mask) -> bool:
+    """Would the slopes (∂h/∂x, ∂h/∂y; row → −y) fit a surface far better with the second one turned round?
+
+    A height field has no curl: ∂(∂h/∂x)/∂y = ∂(∂h/∂y)/∂x.
+    """
+    inner = mask[1:-1, 1:-1] & mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:]
+    along_y = -(gx[2:, 1:-1] - gx[:-2, 1:-1])[inner]
+    along_x = (gy[1:-1, 2:] - gy[1:-1, :-2])[inner]
+    if along_x.size == 0:
+        return False
+    right, flipped = np.mean((along_y - along_x) ** 2), np.mean((along_y + along_x) ** 2)
+    return bool(flipped < 0.25 * right)
+
+
+def resolved_wavelength(sources: Sequence[Relief | Slopes], passes: Passes, mask: Mask, pixel_m: float) -> float:
+    """Shortest wavelength in metres that the finest source resolves: two texels, never less than two pixels."""
+    if any(source.procedural for source in sources):
+        return 2.0 * pixel_m
+    texels = [texel_size(image, passes, mask, pixel_m) for source in sources for image in source.images]
+    known = [size for size in texels if np.isfinite(size)]
+    return max(2.0 * min(known), 2.0 * pixel_m) if known else float("inf")
+
+
+def texel_size(image: ImageTap, passes: Passes, mask: Mask, pixel_m: float) -> float:
+    """Median size in metres of a texel, along the direction in which it is longest; inf where it cannot be told."""
+    place = image.vector.read(passes)[..., :2] * np.asarray(image.texels, dtype=np.float64)
+    across = (place[1:-1, 2:] - place[1:-1, :-2]) / (2.0 * pixel_m)
+    along = (place[2:, 1:-1] - place[:-2, 1:-1]) / (2.0 * pixel_m)
+    square = np.sum(across**2, axis=-1) + np.sum(along**2, axis=-1)
+    area = across[..., 0] * along[..., 1] - across[..., 1] * along[..., 0]
+    smallest = np.sqrt(np.maximum(square - np.sqrt(np.maximum(square**2 - 4.0 * area**2, 0.0)), 0.0) / 2.0)
+    inner = mask[1:-1, 1:-1] & (smallest > 0.0)
+    return float(np.median(1.0 / smallest[inner])) if inner.any() else float("inf")

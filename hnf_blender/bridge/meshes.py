@@ -1,0 +1,277 @@
+"""Objects → triangle meshes in the surface frame: their own frame with its scale applied, in metres."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hnf_core.errors import SceneError
+from hnf_core.scene.mesh import TriangleMesh
+from hnf_core.scene.raycast import Closest, Hits, RayCaster, closest_on, refine_hits
+
+Float = NDArray[np.float64]
+Int = NDArray[np.int32]
+
+SOURCE_FACE = "hnf_source_face"
+
+
+@dataclass(frozen=True)
+class Surface:
+    """An object as rays and strokes meet it.
+
+    object_name: the object. mesh: in the surface frame, metres. rigid: (4, 4) world metres ← surface frame.
+    stretch: (3, 3) surface frame (metres) ← object space (Blender units): scale, shear and unit.
+    source_face: (F,) int32 evaluated polygon → polygon of the object's own mesh, -1 = none (made by a modifier from
+    another object); None where the object has no mesh of its own. materials: names by slot, "" = empty slot.
+    notes: what a person should know.
+    """
+
+    object_name: str
+    mesh: TriangleMesh
+    rigid: Float
+    stretch: Float
+    source_face: Int | None
+    materials: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+
+def surface_frame(matrix_world: ArrayLike, metres_per_unit: float, where: str = "") -> tuple[Float, Float]:
+    """(rigid, stretch): world metres = rigid · stretch · object coordinates.
+
+    rigid: (4, 4) rotation and translation in metres. stretch: (3, 3), what is left of the object's matrix (polar
+    decomposition M = R S), so that moving or turning the object changes rigid only. A mirrored object keeps its
+    mirror in stretch. Raises SceneError where the object is scaled to a line or a point.
+    """
+    matrix = np.asarray(matrix_world, dtype=np.float64)
+    linear = matrix[:3, :3]
+    # Mirroring the x axis first keeps R a rotation, and S the same however the object is turned.
+    mirror = np.diag([-1.0 if np.linalg.det(linear) < 0.0 else 1.0, 1.0, 1.0])
+    left, scales, right = np.linalg.svd(linear @ mirror)
+    if not np.isfinite(matrix).all() or scales[1] <= 1e-9 * max(scales[0], 1e-300):
+        raise SceneError(
+            "it is scaled to nothing in two directions.", where=where, remedy="Give it a scale above zero."
+        )
+    proper = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right)) or 1.0])
+    rigid = np.eye(4)
+    rigid[:3, :3] = left @ proper @ right
+    rigid[:3, 3] = matrix[:3, 3] * metres_per_unit
+    stretch = right.T @ proper @ np.diag(scales) @ right @ mirror * metres_per_unit
+    return rigid, stretch
+
+
+def surface_mesh(obj: Any, depsgraph: Any, metres_per_unit: float) -> Surface:
+    """The evaluated surface of obj (modifiers, shape keys, Geometry Nodes' mesh) in its surface frame.
+
+    obj: original or evaluated object in depsgraph. Raises SceneError where there is nothing to touch.
+    """
+    original = obj.original
+    where = f"object '{original.name}'"
+    evaluated = original.evaluated_get(depsgraph)
+    rigid, stretch = surface_frame(evaluated.matrix_world, metres_per_unit, where)
+    with evaluated_mesh(evaluated, depsgraph) as mesh:
+        materials = materials_of(evaluated, mesh)
+        triangles = _triangles(mesh, stretch, max(len(materials), 1), where)
+        source, notes = _source_faces(original, mesh, depsgraph)
+    if original.data.users > 1:
+        notes = (*notes, f"{where} shares its mesh with {original.data.users - 1} other user(s).")
+    names = tuple("" if material is None else material.name for material in materials)
+    return Surface(original.name, triangles, rigid, stretch, source, names, notes)
+
+
+def materials_of(evaluated: Any, mesh: Any) -> list[Any]:
+    """The user's materials (None = empty slot) by material index of an evaluated object's mesh; those that Geometry
+    Nodes sets included."""
+    slots, own = list(evaluated.material_slots), list(mesh.materials)
+    chosen = []
+    for index in range(max(len(slots), len(own))):
+        from_object = index < len(slots) and (slots[index].link == "OBJECT" or index >= len(own))
+        chosen.append(slots[index].material if from_object else own[index])
+    return [None if material is None else material.original for material in chosen]
+
+
+@contextmanager
+def evaluated_mesh(evaluated: Any, depsgraph: Any) -> Iterator[Any]:
+    """The mesh of an evaluated object in object space; taken back at the end.
+
+    Raises SceneError where the object has none.
+    """
+    try:
+        mesh = evaluated.to_mesh(preserve_all_data_layers=True, depsgraph=depsgraph)
+    except RuntimeError:
+        mesh = None
+    where = f"object '{evaluated.name}'"
+    if mesh is None:
+        raise SceneError(
+            f"it is a {evaluated.type.lower()} object and has no surface.", where=where, remedy="Touch a mesh object."
+        )
+    try:
+        if len(mesh.polygons) == 0:
+            raise SceneError(
+                "its mesh has no faces to touch.", where=where, remedy="Give it faces, or choose another object."
+            )
+        yield mesh
+    finally:
+        evaluated.to_mesh_clear()
+
+
+def mesh_hash(obj: Any, depsgraph: Any, metres_per_unit: float) -> str:
+    """Hash of what a touch can feel of obj's shape: positions, topology, UVs, material indices and scale.
+
+    Where the object stands and how it is turned does not count. 128 bits, hex.
+    """
+    original = obj.original
+    evaluated = original.evaluated_get(depsgraph)
+    _, stretch = surface_frame(evaluated.matrix_world, metres_per_unit, f"object '{original.name}'")
+    digest = hashlib.blake2b(digest_size=16)
+    with evaluated_mesh(evaluated, depsgraph) as mesh:
+        digest.update(np.array([len(mesh.vertices), len(mesh.loops), len(mesh.polygons)], dtype=np.int64).tobytes())
+        digest.update(_read(mesh.vertices, "co", np.float32, 3).tobytes())
+        digest.update(_read(mesh.loops, "vertex_index", np.int32).tobytes())
+        digest.update(_read(mesh.polygons, "loop_start", np.int32).tobytes())
+        digest.update(_read(mesh.polygons, "material_index", np.int32).tobytes())
+        digest.update(_read(mesh.corner_normals, "vector", np.float32, 3).tobytes())
+        uv = _uv(mesh)
+        digest.update(b"" if uv is None else uv.tobytes())
+    # The polar decomposition of a turned object differs in the last bits; a micrometre a metre does not.
+    digest.update(np.round(stretch / metres_per_unit, 6).tobytes() + repr(float(metres_per_unit)).encode())
+    return digest.hexdigest()
+
+
+class BlenderGeometry:
+    """Rays and nearest points by Blender's own BVH tree. The tree (float32) chooses the triangle; distances and
+    barycentrics are float64. Slower than Embree for many rays; the only one with nearest points."""
+
+    def __init__(self, mesh: TriangleMesh) -> None:
+        if len(mesh.triangles) == 0:
+            raise SceneError("the mesh has no faces to touch.", remedy="Give the object some faces.")
+        from mathutils.bvhtree import BVHTree
+
+        self._corners = mesh.corner_positions()
+        self._centre = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2.0
+        self._tree = BVHTree.FromPolygons(
+            (mesh.vertices - self._centre).tolist(), mesh.triangles.tolist(), all_triangles=True
+        )
+
+    def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
+        origins = np.asarray(origins, dtype=np.float64).reshape(-1, 3)
+        directions = np.asarray(directions, dtype=np.float64).reshape(-1, 3)
+        triangle = np.full(len(origins), -1, dtype=np.int32)
+        for index, (origin, direction) in enumerate(
+            zip((origins - self._centre).tolist(), directions.tolist(), strict=True)
+        ):
+            found = self._tree.ray_cast(origin, direction)[2]
+            if found is not None:
+                triangle[index] = found
+        return refine_hits(self._corners, triangle, origins, directions)
+
+    def closest_points(self, points: ArrayLike) -> Closest:
+        points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+        nearest = [self._tree.find_nearest(point)[2] for point in (points - self._centre).tolist()]
+        return closest_on(self._corners, np.array(nearest, dtype=np.int32).reshape(-1), points)
+
+
+def surface_geometry(mesh: TriangleMesh) -> tuple[RayCaster, BlenderGeometry]:
+    """(ray caster, nearest-point query): Embree where it is installed, Blender's BVH otherwise."""
+    nearest = BlenderGeometry(mesh)
+    return ray_caster(mesh, nearest), nearest
+
+
+def ray_caster(mesh: TriangleMesh, fallback: BlenderGeometry | None = None) -> RayCaster:
+    """Embree where it is installed (not on Linux arm), Blender's BVH otherwise: equal results, ten times slower."""
+    from hnf_core.scene.raycast import embree_caster
+
+    try:
+        return embree_caster(mesh)
+    except ImportError:
+        return fallback or BlenderGeometry(mesh)
+
+
+def _triangles(mesh: Any, stretch: Float, slots: int, where: str) -> TriangleMesh:
+    mesh.calc_loop_triangles()
+    vertices = _read(mesh.vertices, "co", np.float32, 3).astype(np.float64) @ stretch.T
+    if not np.isfinite(vertices).all():
+        raise SceneError("a vertex is not a number.", where=where, remedy="Run Mesh > Clean Up, or delete that vertex.")
+    corners = _read(mesh.loop_triangles, "loops", np.int32, 3)
+    triangles = _read(mesh.loop_triangles, "vertices", np.int32, 3)
+    face = _read(mesh.loop_triangles, "polygon_index", np.int32)
+    # Normals go by the cofactor matrix, which a flattened (zero) scale does not break.
+    normals = _read(mesh.corner_normals, "vector", np.float32, 3).astype(np.float64) @ cofactors(stretch).T
+    if np.linalg.det(stretch) < 0.0:  # a mirror turns triangles inside out, not normals
+        corners, triangles, normals = corners[:, [0, 2, 1]], triangles[:, [0, 2, 1]], -normals
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals = normals / np.where(length > 0.0, length, 1.0)
+    uv = _uv(mesh)
+    slot = _read(mesh.polygons, "material_index", np.int32)[face]
+    return TriangleMesh(
+        vertices=vertices,
+        triangles=np.ascontiguousarray(triangles),
+        face=face,
+        slot=np.clip(slot, 0, slots - 1).astype(np.int32),
+        normals=normals[corners],
+        uv=None if uv is None else uv.astype(np.float64)[corners],
+    )
+
+
+def cofactors(matrix: Float) -> Float:
+    """det(M) M⁻ᵀ, also where M is singular: how normals follow M."""
+    first, second, third = matrix
+    return np.stack([np.cross(second, third), np.cross(third, first), np.cross(first, second)])
+
+
+def _uv(mesh: Any) -> NDArray[np.float32] | None:
+    """(loops, 2) of the UV map that renders, or None."""
+    layer = next((layer for layer in mesh.uv_layers if layer.active_render), None)
+    return None if layer is None else _read(layer.uv, "vector", np.float32, 2)
+
+
+def _read(collection: Any, name: str, dtype: Any, width: int = 1) -> NDArray[Any]:
+    values = np.empty(len(collection) * width, dtype=dtype)
+    collection.foreach_get(name, values)
+    return values.reshape(-1, width) if width > 1 else values
+
+
+def _source_faces(original: Any, evaluated: Any, depsgraph: Any) -> tuple[Int | None, tuple[str, ...]]:
+    """Evaluated polygon → polygon of original.data, and what to tell."""
+    if original.type != "MESH":
+        return None, (f"object '{original.name}' has no mesh of its own: tokens cannot be stored on it.",)
+    count = len(evaluated.polygons)
+    if _same_topology(original.data, evaluated):
+        return np.arange(count, dtype=np.int32), ()
+    faces = _traced_faces(original, depsgraph.scene.frame_current_final)
+    if len(faces) != count:
+        return np.full(count, -1, dtype=np.int32), (
+            f"object '{original.name}': its modifiers hide which of its own faces became which.",
+        )
+    return faces, ()
+
+
+def _same_topology(mesh: Any, evaluated: Any) -> bool:
+    sizes = [(len(m.vertices), len(m.loops), len(m.polygons)) for m in (mesh, evaluated)]
+    return sizes[0] == sizes[1] and all(
+        np.array_equal(_read(getattr(mesh, part), name, np.int32), _read(getattr(evaluated, part), name, np.int32))
+        for part, name in (("loops", "vertex_index"), ("polygons", "loop_start"))
+    )
+
+
+def _traced_faces(original: Any, frame: float) -> Int:
+    """Evaluate a copy whose faces carry their own index; integers pass through modifiers unblended."""
+    from .temporary import Temporary
+
+    with Temporary() as temporary:
+        copy = temporary.copy_object(original, with_data=True)
+        copy.data.attributes.new(SOURCE_FACE, "INT", "FACE")
+        # Faces that come from elsewhere (a boolean's cutter) get 0, so count from 1.
+        index = np.arange(1, len(copy.data.polygons) + 1, dtype=np.int32)
+        copy.data.attributes[SOURCE_FACE].data.foreach_set("value", index)
+        depsgraph = temporary.evaluate(frame)
+        with evaluated_mesh(copy.evaluated_get(depsgraph), depsgraph) as mesh:
+            attribute = mesh.attributes.get(SOURCE_FACE)
+            if attribute is None or attribute.domain != "FACE":
+                return np.zeros(0, dtype=np.int32)
+            return _read(attribute.data, "value", np.int32) - 1

@@ -1,0 +1,168 @@
+"""Lit pictures: the whole scene for people to look at, and lit close-ups."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.scene.camera import Camera
+from hnf_core.scene.raycast import RayCaster, cast_view
+from hnf_core.scene.view import RgbdView
+
+from .. import compat
+from .meshes import Surface, ray_caster
+from .render import add_camera, aim, planar_depth, prepare_cycles, render_passes
+from .stage import set_stage
+from .temporary import Temporary
+
+DOME_STRENGTH = 1.0
+SAME_DEPTH = 1e-3
+"""Relative depth difference under which a rendered pixel shows the surface that a ray met."""
+
+
+def render_overview(
+    scene: Any,
+    camera: Camera | None,
+    *,
+    metres_per_unit: float = 1.0,
+    samples: int = 16,
+    objects: Sequence[Any] | None = None,
+    surface: Surface | None = None,
+    caster: RayCaster | None = None,
+    frame: float | None = None,
+) -> tuple[RgbdView, tuple[str, ...]]:
+    """(view, notes): the lit scene. One render.
+
+    camera: world metres; None = the scene's own camera. objects: render only these, and the scene's lights, so that
+    cost does not follow the scene; None = everything. surface: fills face_id with the evaluated polygons of this
+    object where it is what the camera sees. The picture is denoised where this Blender can. A scene without light
+    gets a neutral dome, and notes say so. Nothing of the user's is changed.
+    """
+    notes: list[str] = []
+    with Temporary(None if objects is not None else scene) as temporary:
+        if objects is not None:
+            for obj in [*objects, *(each for each in scene.objects if each.type == "LIGHT" and each not in objects)]:
+                temporary.link(obj)
+            temporary.scene.world = scene.world
+        prepare_cycles(temporary.scene, samples)
+        temporary.view_layer.use_pass_z = temporary.view_layer.use_pass_normal = True
+        if not _is_lit(temporary.scene):
+            add_dome(temporary.scene)
+            notes.append("the scene has no light: a neutral dome lights the picture.")
+        if camera is None:
+            if objects is not None:
+                temporary.link(scene.camera)
+            temporary.scene.camera = scene.camera
+            _copy_frame(scene, temporary.scene)
+            temporary.evaluate(_frame(scene, frame))
+            from .scene_camera import camera_record
+
+            evaluated = scene.camera.evaluated_get(temporary.view_layer.depsgraph)
+            camera = camera_record(temporary.scene, scene.camera, metres_per_unit, evaluated.matrix_world)
+        else:
+            aim(temporary.scene, add_camera(temporary), camera, np.eye(4), metres_per_unit)
+            temporary.evaluate(_frame(scene, frame))
+        _use_denoiser(temporary.scene)
+        passes = render_passes(temporary)
+    depth = planar_depth(passes, metres_per_unit)
+    view = RgbdView(
+        camera=camera,
+        rgb=np.ascontiguousarray(passes["Combined"][..., :3]),
+        depth=depth,
+        face_id=np.full(depth.shape, -1, dtype=np.int32),
+        normal=passes["Normal"][..., :3],
+    )
+    if surface is not None:
+        view = replace(view, face_id=visible_faces(view, surface, caster or ray_caster(surface.mesh)))
+    return view, tuple(notes)
+
+
+def visible_faces(view: RgbdView, surface: Surface, caster: RayCaster) -> NDArray[np.int32]:
+    """(H, W) evaluated polygon of surface that each pixel of view shows, -1 where it shows something else."""
+    cast = cast_view(caster, surface.mesh, in_surface_frame(view.camera, surface))
+    same = np.isfinite(cast.depth) & (np.abs(cast.depth - view.depth) <= SAME_DEPTH * np.abs(cast.depth))
+    return np.where(same, cast.face_id, -1).astype(np.int32)
+
+
+def in_surface_frame(camera: Camera, surface: Surface) -> Camera:
+    """A world camera, seen from a surface's own frame."""
+    return replace(camera, pose=np.linalg.inv(surface.rigid) @ camera.pose)
+
+
+def lit_pictures(
+    obj: Any, cameras: Sequence[Camera], samples: int, metres_per_unit: float, frame: float | None
+) -> list[NDArray[np.float32]]:
+    """(H, W, 3) linear pictures of obj alone under a neutral dome; cameras in its surface frame. One render each."""
+    with Temporary() as temporary:
+        prepare_cycles(temporary.scene, samples)
+        stage = set_stage(temporary, obj, metres_per_unit, frame)
+        add_dome(temporary.scene)
+        camera_object = add_camera(temporary)
+        temporary.scene.render.use_persistent_data = len(cameras) > 1
+        pictures = []
+        for camera in cameras:
+            aim(temporary.scene, camera_object, camera, stage.rigid, stage.metres_per_unit)
+            pictures.append(np.ascontiguousarray(render_passes(temporary)["Combined"][..., :3]))
+    return pictures
+
+
+def add_dome(scene: Any) -> None:
+    """An even white world."""
+    import bpy
+
+    world = bpy.data.worlds.new("hnf dome")
+    compat.switch_nodes_on(world)
+    background = next(node for node in world.node_tree.nodes if node.bl_idname == "ShaderNodeBackground")
+    background.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
+    background.inputs["Strength"].default_value = DOME_STRENGTH
+    scene.world = world
+
+
+def _is_lit(scene: Any) -> bool:
+    """Is there a lamp, a world that is not black, or a material that glows?"""
+    if any(obj.type == "LIGHT" and not obj.hide_render and obj.data.energy > 0.0 for obj in scene.objects):
+        return True
+    if scene.world is not None and _glows(scene.world):
+        return True
+    slots = (slot for obj in scene.objects if not obj.hide_render for slot in obj.material_slots)
+    return any(slot.material is not None and _glows(slot.material) for slot in slots)
+
+
+def _glows(datablock: Any) -> bool:
+    if not compat.use_nodes(datablock):
+        return datablock.id_type == "WORLD" and max(datablock.color) > 0.0
+    return any(_emits(node) for node in datablock.node_tree.nodes)
+
+
+def _emits(node: Any) -> bool:
+    if node.bl_idname in {"ShaderNodeEmission", "ShaderNodeBackground"}:
+        colour, strength = node.inputs["Color"], node.inputs["Strength"]
+    elif node.bl_idname == "ShaderNodeBsdfPrincipled":
+        colour, strength = node.inputs["Emission Color"], node.inputs["Emission Strength"]
+    else:
+        return False
+    bright = colour.is_linked or max(list(colour.default_value)[:3]) > 0.0
+    return bright and (strength.is_linked or strength.default_value > 0.0)
+
+
+def _copy_frame(scene: Any, target: Any) -> None:
+    for name in ("resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y"):
+        setattr(target.render, name, getattr(scene.render, name))
+
+
+def _frame(scene: Any, frame: float | None) -> float:
+    return float(scene.frame_current_final) if frame is None else frame
+
+
+def _use_denoiser(scene: Any) -> None:
+    """Open Image Denoise where this build has it: without it the render would fail, or silently stay noisy."""
+    if compat.has_denoiser():
+        scene.cycles.use_denoising = True
+        scene.cycles.denoiser = "OPENIMAGEDENOISE"
+        scene.cycles.denoising_prefilter = "FAST"
+        if hasattr(scene.cycles, "denoising_quality"):
+            scene.cycles.denoising_quality = "FAST"

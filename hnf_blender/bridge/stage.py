@@ -1,0 +1,234 @@
+"""The touched object alone on a temporary stage, its materials replaced by copies that tell what they are made of."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.errors import SceneError
+
+from .. import compat
+from .appearance import ShaderReading, plain_shading, read_shader
+from .meshes import Surface, evaluated_mesh, materials_of, surface_frame, surface_mesh
+from .node_graph import NodeGraph
+from .shader_height import IMAGE, MicroGeometry
+from .taps import Tap, Tapper
+from .temporary import Temporary
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What stands on the temporary scene. actor: the object. rigid: (4, 4) stage metres ← surface frame.
+    metres_per_unit: of the stage. stretch: (3, 3) surface frame ← object space. notes: about the whole object.
+    owner: the user's own object. surface: what rays meet, of the very mesh that is rendered."""
+
+    temporary: Temporary
+    owner: Any
+    actor: Any
+    rigid: Float
+    metres_per_unit: float
+    stretch: Float
+    notes: tuple[str, ...]
+    surface: Surface
+
+
+def set_stage(
+    temporary: Temporary, obj: Any, metres_per_unit: float, frame: float | None, surface: Surface | None = None
+) -> Stage:
+    """Copy obj onto the stage: without rotation and translation, in metres, so that no place in the world can
+    change a bit of what is rendered; at its true place where its shaders look at the world.
+
+    frame: scene frame of an animated object, None = as it is now. surface: of obj at frame, made here where not
+    given. Raises SceneError where there is no surface.
+    """
+    original = obj.original
+    where = f"object '{original.name}'"
+    temporary.link(original)
+    try:
+        depsgraph = temporary.evaluate(_frame_of(original, frame))
+        evaluated = original.evaluated_get(depsgraph)
+        rigid, stretch = surface_frame(evaluated.matrix_world, metres_per_unit, where)
+        with evaluated_mesh(evaluated, depsgraph) as mesh:
+            materials = materials_of(evaluated, mesh)
+        worldly, generated, notes = _coordinates(original, [each for each in materials if each is not None])
+        deformed = _is_deformed(original)
+        true_place = worldly or (generated and deformed)
+        surface = surface or surface_mesh(original, depsgraph, metres_per_unit)
+        data = original.data
+        if deformed and not true_place:
+            data = _baked(evaluated, depsgraph)
+    finally:
+        temporary.scene.collection.objects.unlink(original)
+    if true_place:
+        actor = temporary.copy_object(original)
+        _render_as_shown(actor)
+        temporary.evaluate(_frame_of(original, frame))
+        return Stage(temporary, original, actor, rigid, metres_per_unit, stretch, notes, surface)
+    actor = temporary.new_object("hnf actor", data)
+    matrix = np.eye(4)
+    matrix[:3, :3] = stretch
+    temporary.place(actor, matrix)
+    for slot, material in zip(actor.material_slots, materials, strict=False):
+        slot.link, slot.material = "OBJECT", material
+    return Stage(temporary, original, actor, np.eye(4), 1.0, stretch, notes, surface)
+
+
+def _frame_of(obj: Any, frame: float | None) -> float | None:
+    """None → the current frame of a scene that obj stands in."""
+    if frame is not None:
+        return frame
+    scene = next((scene for scene in obj.users_scene if scene.library is None), None)
+    return None if scene is None else float(scene.frame_current_final)
+
+
+def _is_deformed(obj: Any) -> bool:
+    """Does evaluation give anything but the object's own mesh?"""
+    if obj.type != "MESH":
+        return True
+    return bool(obj.modifiers) or obj.data.shape_keys is not None or obj.parent_type in {"ARMATURE", "LATTICE"}
+
+
+def _baked(evaluated: Any, depsgraph: Any) -> Any:
+    import bpy
+
+    return bpy.data.meshes.new_from_object(evaluated, preserve_all_data_layers=True, depsgraph=depsgraph)
+
+
+def _render_as_shown(actor: Any) -> None:
+    """Rays are cast on the viewport's mesh: let the render use the same modifiers and levels."""
+    for modifier in actor.modifiers:
+        modifier.show_render = modifier.show_viewport
+        if hasattr(modifier, "render_levels"):
+            modifier.render_levels = modifier.levels
+
+
+@dataclass(frozen=True)
+class SlotReading:
+    """One material slot on the stage. material: its name, "" = none. reading: what to make of the passes."""
+
+    material: str
+    reading: ShaderReading
+    taps: tuple[Tap, ...]
+
+
+def tap_slot(stage: Stage, slot: int, where: str) -> SlotReading:
+    """Replace the material in slot by a copy with taps, unlit. Raises SceneError for a missing texture."""
+    slots = stage.actor.material_slots
+    if slot >= len(slots) or slots[slot].material is None:
+        return SlotReading("", ShaderReading(None, MicroGeometry(), ("no material",)), ())
+    original = slots[slot].material.original
+    if not compat.use_nodes(original):
+        reading = ShaderReading(plain_shading(original), MicroGeometry(), ())
+        return SlotReading(original.name, reading, ())
+    copy = original.copy()
+    graph = NodeGraph(copy)
+    _prepare_textures(stage, graph)
+    _check_images(graph, f"{where}, material '{original.name}'")
+    tapper = Tapper(graph, f"hnf{slot}_")
+    reading = read_shader(tapper)
+    _unlit(copy, graph)
+    slots[slot].link = "OBJECT"
+    slots[slot].material = copy
+    return SlotReading(original.name, reading, tuple(tapper.taps))
+
+
+def _unlit(copy: Any, graph: NodeGraph) -> None:
+    """An opaque plain surface: taps are then read on the first surface met, whatever its transparency."""
+    output = graph.output
+    if output is None:
+        output = graph.tree.nodes.new("ShaderNodeOutputMaterial")
+    plain = graph.tree.nodes.new("ShaderNodeBsdfDiffuse")
+    for name in ("Surface", "Volume", "Displacement"):
+        for link in list(output.inputs[name].links):
+            graph.tree.links.remove(link)
+    graph.tree.links.new(plain.outputs[0], output.inputs["Surface"])
+    if hasattr(copy, "displacement_method"):
+        copy.displacement_method = "BUMP"
+
+
+def _prepare_textures(stage: Stage, graph: NodeGraph) -> None:
+    for node in nodes_of(graph.tree):
+        if node.bl_idname == "ShaderNodeTexCoord" and node.object == stage.owner:
+            node.object = None  # its own coordinates, wherever the copy stands
+        if node.bl_idname == IMAGE:
+            node.interpolation = "Cubic"  # bilinear normals and heights hum at the texel rate
+
+
+def nodes_of(tree: Any, seen: set[str] | None = None) -> Iterator[Any]:
+    """Every node of a tree and of the groups in it."""
+    seen = set() if seen is None else seen
+    if tree is None or tree.name_full in seen:
+        return
+    seen.add(tree.name_full)
+    for node in tree.nodes:
+        yield node
+        if getattr(node, "node_tree", None) is not None:
+            yield from nodes_of(node.node_tree, seen)
+
+
+def _coordinates(obj: Any, materials: list[Any]) -> tuple[bool, bool, tuple[str, ...]]:
+    """(looks at the world, uses Generated coordinates, notes) of an object's shaders."""
+    worldly = generated = False
+    notes: list[str] = []
+    for node in (node for material in materials for node in nodes_of(material.node_tree)):
+        used = {output.name for output in node.outputs if output.is_linked}
+        if node.bl_idname == "ShaderNodeNewGeometry":
+            worldly |= bool(used & {"Position", "Incoming"})
+        elif node.bl_idname == "ShaderNodeTexCoord":
+            worldly |= "Object" in used and node.object is not None and node.object != obj
+            worldly |= bool(used & {"Camera", "Window", "Reflection"})
+            generated |= "Generated" in used
+        elif node.bl_idname == "ShaderNodeVectorTransform":
+            worldly = True
+        elif node.bl_idname == "ShaderNodeObjectInfo":
+            worldly |= "Location" in used
+            if "Random" in used:
+                notes.append("Object Info's Random cannot be repeated in a close-up: its pattern may differ.")
+        elif node.bl_idname.startswith("ShaderNodeTex") and node.bl_idname != IMAGE:
+            vector = node.inputs.get("Vector")
+            generated |= vector is not None and not vector.is_linked
+    return worldly, generated, tuple(dict.fromkeys(notes))
+
+
+def _check_images(graph: NodeGraph, where: str) -> None:
+    """Raises SceneError naming the first image that the surface depends on and that cannot be loaded."""
+    output = graph.output
+    if output is None:
+        return
+    for name in ("Surface", "Displacement"):
+        for node in graph.upstream(output.inputs[name]):
+            if node.bl_idname == IMAGE and node.image is not None:
+                _check_image(node.image, where)
+
+
+def _check_image(image: Any, where: str) -> None:
+    import bpy
+
+    missing = None
+    if not image.packed_files and image.source in {"FILE", "TILED", "SEQUENCE", "MOVIE"} and not image.is_dirty:
+        path = bpy.path.abspath(image.filepath, library=image.library)
+        paths = [path]
+        if image.source == "TILED":
+            paths = [_tile_path(path, tile.number) for tile in image.tiles]
+        if image.source in {"FILE", "TILED", "MOVIE"}:
+            missing = next((each for each in paths if not os.path.isfile(each)), None)
+    if missing is not None:
+        what = f"its texture '{image.name}' is missing: {missing}."
+    elif image.source in {"FILE", "GENERATED"} and 0 in tuple(image.size):
+        what = f"its texture '{image.name}' cannot be read: {image.filepath}."
+    else:
+        return
+    remedy = "Bring the file back, or find it with File > External Data > Find Missing Files."
+    raise SceneError(what, where=where, remedy=remedy)
+
+
+def _tile_path(path: str, number: int) -> str:
+    u, v = (number - 1001) % 10 + 1, (number - 1001) // 10 + 1
+    return path.replace("<UDIM>", str(number)).replace("<UVTILE>", f"u{u}_v{v}")

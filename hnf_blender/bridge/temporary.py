@@ -1,0 +1,135 @@
+"""A scene of our own to work in, of which nothing is left: not after success, an error, or Ctrl-C."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+SCENE_NAME = "hnf temporary"
+LAYER_NAME = "hnf"  # no dot: EXR channels are "<layer>.<pass>.<component>"
+
+
+class Temporary:
+    """Holds one temporary scene; on leaving, every datablock made since entering is removed.
+
+    The user's scenes, settings and selection are never touched. Use as a context manager. like: a scene to start
+    from (its objects, world and lights, shared), None = an empty one.
+    """
+
+    scene: Any
+
+    def __init__(self, like: Any = None) -> None:
+        self._like = like
+
+    def __enter__(self) -> Temporary:
+        import bpy
+
+        self._before = set(_all_ids())
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self.scene = None
+        try:
+            self.scene = bpy.data.scenes.new(SCENE_NAME) if self._like is None else self._like.copy()
+            for layer in list(self.scene.view_layers)[1:]:
+                self.scene.view_layers.remove(layer)
+            self.view_layer.name, self.view_layer.use = LAYER_NAME, True
+        except BaseException:
+            self._clean()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._clean()
+
+    @property
+    def folder(self) -> Path:
+        """A folder that lasts as long as this context."""
+        if self._folder is None:
+            self._folder = tempfile.TemporaryDirectory(prefix="hnf-")
+        return Path(self._folder.name)
+
+    @property
+    def view_layer(self) -> Any:
+        return self.scene.view_layers[0]
+
+    def link(self, obj: Any) -> Any:
+        """Put obj into the temporary scene and return it."""
+        self.scene.collection.objects.link(obj)
+        return obj
+
+    def copy_object(self, obj: Any, *, with_data: bool = False) -> Any:
+        """A visible copy of obj in the temporary scene; it shares obj's data unless with_data."""
+        copy = obj.copy()
+        if with_data:
+            copy.data = obj.data.copy()
+        for name, value in VISIBLE.items():
+            setattr(copy, name, value)
+        return self.link(copy)
+
+    def new_object(self, name: str, data: Any) -> Any:
+        import bpy
+
+        return self.link(bpy.data.objects.new(name, data))
+
+    def place(self, obj: Any, matrix: ArrayLike) -> None:
+        """Give a new object an exact world matrix, shear included, which location, rotation and scale cannot hold."""
+        import bpy
+        from mathutils import Matrix
+
+        anchor = bpy.data.objects.new("hnf anchor", None)
+        obj.parent = self.link(anchor)
+        obj.matrix_parent_inverse = Matrix(np.asarray(matrix, dtype=np.float64).tolist())
+
+    def evaluate(self, frame: float | None = None) -> Any:
+        """The temporary scene's depsgraph at a (fractional) frame, None = its current one. No object of the file is
+        evaluated but those linked here and what they depend on."""
+        if frame is None:
+            frame = self.scene.frame_current_final
+        whole = math.floor(frame)
+        self.scene.frame_set(whole, subframe=frame - whole)
+        self.view_layer.update()
+        return self.view_layer.depsgraph
+
+    def _clean(self) -> None:
+        import bpy
+
+        if self.scene is not None:
+            self.scene.render.use_persistent_data = False
+        made = [block for pointer, block in _all_ids().items() if pointer not in self._before]
+        bpy.data.batch_remove(made)
+        if self._folder is not None:
+            self._folder.cleanup()
+
+
+VISIBLE = {
+    "hide_viewport": False,
+    "hide_render": False,
+    "visible_camera": True,
+    "is_holdout": False,
+    "is_shadow_catcher": False,
+    "instance_type": "NONE",
+}
+
+
+def _all_ids() -> dict[int, Any]:
+    return {block.session_uid: block for block in _blocks()}
+
+
+def _blocks() -> Iterator[Any]:
+    import bpy
+
+    for prop in bpy.data.bl_rna.properties:
+        if prop.type == "COLLECTION" and prop.identifier not in NOT_OURS:
+            yield from getattr(bpy.data, prop.identifier)
+
+
+NOT_OURS = {"libraries", "screens", "window_managers", "workspaces", "brushes"}
+"""Kinds that the work here never makes and that Blender may make by itself at any time."""

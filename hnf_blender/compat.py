@@ -1,0 +1,81 @@
+"""The only file that knows Blender versions: 4.2 LTS, 4.5 LTS, 5.0 and later."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def version() -> tuple[int, int, int]:
+    import bpy
+
+    major, minor, patch = bpy.app.version
+    return int(major), int(minor), int(patch)
+
+
+def use_multilayer_exr(render: Any) -> None:
+    """Make the render output itself a float32 multilayer EXR; no compositor is then needed for the passes."""
+    settings = render.image_settings
+    if hasattr(settings, "media_type"):  # 5.0: the file format enum depends on it
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format = "OPEN_EXR_MULTILAYER"
+    settings.color_depth = "32"
+    settings.exr_codec = "ZIP"
+
+
+def object_index_pass() -> str:
+    """Name of the object index pass in a multilayer EXR."""
+    return "Object Index" if version() >= (5, 0, 0) else "IndexOB"
+
+
+def eevee_engine() -> str:
+    """Identifier of EEVEE (the rewritten one) in render.engine."""
+    return "BLENDER_EEVEE" if version() >= (5, 0, 0) else "BLENDER_EEVEE_NEXT"
+
+
+def use_nodes(material: Any) -> bool:
+    """Does Blender shade the material by its nodes? Always so from 5.0 on."""
+    if material.node_tree is None:
+        return False
+    return True if version() >= (5, 0, 0) else bool(material.use_nodes)
+
+
+def switch_nodes_on(datablock: Any) -> None:
+    """Give a material or world a node tree; from 5.0 on every new one has it and asking is deprecated."""
+    if datablock.node_tree is None or version() < (5, 0, 0):
+        datablock.use_nodes = True
+
+
+def fcurves_of(id_data: Any) -> list[Any]:
+    """The F-curves that animate this very datablock (object and data may share one action in two slots)."""
+    animation = getattr(id_data, "animation_data", None)
+    action = None if animation is None else animation.action
+    if action is None:
+        return []
+    slot = getattr(animation, "action_slot", None)
+    if not hasattr(animation, "action_slot"):  # 4.2 and 4.3: no slots
+        return list(action.fcurves)
+    if slot is None:
+        return []
+    if hasattr(action, "fcurves") and version() < (5, 0, 0) and not getattr(action, "is_action_layered", False):
+        return list(action.fcurves)
+    bag = _channelbag(action, slot)
+    return [] if bag is None else list(bag.fcurves)
+
+
+def _channelbag(action: Any, slot: Any) -> Any:
+    """The channels of one slot: one layer with one keyframe strip is all that Blender supports so far."""
+    for layer in action.layers:
+        for strip in layer.strips:
+            bag = strip.channelbag(slot)
+            if bag is not None:
+                return bag
+    return None
+
+
+def has_denoiser() -> bool:
+    """Does this build come with Open Image Denoise? Distribution builds may not: they fail, or silently skip it."""
+    try:
+        import _cycles
+    except ImportError:
+        return False
+    return bool(getattr(_cycles, "with_openimagedenoise", False))
