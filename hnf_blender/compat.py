@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from typing import Any
 
 
@@ -75,7 +76,7 @@ def _channelbag(action: Any, slot: Any) -> Any:
 def has_denoiser() -> bool:
     """Does this build come with Open Image Denoise? Distribution builds may not: they fail, or silently skip it."""
     try:
-        import _cycles
+        cycles = importlib.import_module("_cycles")
     except ImportError:
         return False
-    return bool(getattr(_cycles, "with_openimagedenoise", False))
+    return bool(getattr(cycles, "with_openimagedenoise", False))

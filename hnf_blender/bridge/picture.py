@@ -134,7 +134,7 @@ def _is_lit(scene: Any) -> bool:
 
 def _glows(datablock: Any) -> bool:
     if not compat.use_nodes(datablock):
-        return datablock.id_type == "WORLD" and max(datablock.color) > 0.0
+        return bool(datablock.id_type == "WORLD" and max(datablock.color) > 0.0)
     return any(_emits(node) for node in datablock.node_tree.nodes)
 
 
@@ -146,7 +146,7 @@ def _emits(node: Any) -> bool:
     else:
         return False
     bright = colour.is_linked or max(list(colour.default_value)[:3]) > 0.0
-    return bright and (strength.is_linked or strength.default_value > 0.0)
+    return bool(bright and (strength.is_linked or strength.default_value > 0.0))
 
 
 def _copy_frame(scene: Any, target: Any) -> None:

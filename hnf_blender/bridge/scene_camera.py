@@ -18,9 +18,7 @@ CLOSEST_UNITS = 1e-6
 """Blender's smallest clip start."""
 
 
-def camera_record(
-    scene: Any, camera_object: Any, metres_per_unit: float, matrix_world: ArrayLike | None = None
-) -> Camera:
+def camera_record(scene: Any, camera_object: Any, metres_per_unit: float, matrix_world: Any = None) -> Camera:
     """The camera that scene renders camera_object with: resolution and its percentage, pixel aspect, sensor fit and
     shift counted; a render border is not (the whole frame is meant).
 
@@ -69,10 +67,8 @@ def overview_camera(
     normal = normal / length if length > 0.0 else np.array([0.0, -1.0, 0.0])
     up = np.array([0.0, 0.0, 1.0])
     side = np.cross(up, normal)
-    if np.linalg.norm(side) < 0.2:  # a table top or a ceiling: come from the front
-        lean = np.array([0.45, -0.8, 0.0])
-    else:
-        lean = 0.5 * side / np.linalg.norm(side) + 0.35 * up
+    level = np.linalg.norm(side) < 0.2  # a table top or a ceiling: come from the front
+    lean = np.array([0.45, -0.8, 0.0]) if level else 0.5 * side / np.linalg.norm(side) + 0.35 * up
     back = normal + lean
     back = back / np.linalg.norm(back)
     reach = max(float(np.linalg.norm(points - middle, axis=-1).max(initial=0.0)), radius_m, 1e-6)

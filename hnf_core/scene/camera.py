@@ -44,7 +44,7 @@ class Camera:
         if self.kind == "perspective":
             flat = flat * z[..., None]
         local = np.concatenate([flat, z[..., None]], axis=-1)
-        return local @ self.pose[:3, :3].T + self.pose[:3, 3]
+        return np.asarray(local @ self.pose[:3, :3].T + self.pose[:3, 3])
 
     def pixel_centres(self) -> Float:
         """(H, W, 2) pixel coordinates of every pixel centre."""
