@@ -195,12 +195,11 @@ def _reason(
     usual: Mapping[str, float],
     appearance: Appearance,
 ) -> str:
-    """The words found, then the values that tell this material from half of the library."""
+    """The words found, then the values that fit better than they fit half of the library, and those that clash."""
     parts = [f"'{word}' in '{name}'" for word, (_, name) in sorted(hits.items(), key=lambda item: -item[1][0])]
-    telling = {field: odds - usual[field] for field, odds in looks.items()}
     for verdict, chosen in (
-        ("fits", [field for field, odds in telling.items() if odds > 0.2]),
-        ("does not fit", [field for field, odds in telling.items() if odds < -0.7]),
+        ("fits", [field for field, odds in looks.items() if odds - usual[field] > 0.2]),
+        ("does not fit", [field for field, odds in looks.items() if odds < -0.7]),
     ):
         parts += [f"{_value_text(field, appearance)} {verdict}" for field in chosen]
     return "; ".join(parts) or "nothing in the scene tells"

@@ -1,0 +1,79 @@
+"""Fusion: measured where the map told, the library's where it did not, and always said which."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from hnf_core.errors import MaterialError
+from hnf_core.material.encoder import smooth_token_values
+from hnf_core.material.fuse import BANDS, fuse, routes_by_band
+from hnf_core.material.token import TOKEN_DIM, Token, band_slice
+from hnf_core.tactile.tactile_map import Route
+
+tokens = hnp.arrays(np.float32, TOKEN_DIM, elements=st.floats(-9, 2, width=32))
+band_sets = st.lists(st.booleans(), min_size=BANDS, max_size=BANDS)
+confidences = st.floats(0, 1)
+
+
+def measured_token(values: np.ndarray, bands: list[bool], shape: bool) -> Token:
+    known = np.zeros(TOKEN_DIM, dtype=bool)
+    for band, told in enumerate(bands):
+        known[band_slice(band)] = told
+    known[-2:] = shape
+    return Token(np.where(known, values, smooth_token_values()).astype(np.float32), known)
+
+
+@settings(max_examples=50, deadline=None)
+@given(tokens, tokens, band_sets, st.booleans(), confidences)
+def test_every_value_comes_from_the_source_that_its_route_names(values, prior, bands, shape, confidence):
+    fused = fuse(measured_token(values, bands, shape), prior, confidence)
+    for band, told in enumerate(bands):
+        assert fused.routes[band] is (Route.MEASURED if told else Route.PRIOR)
+        source = values if told else prior
+        assert np.array_equal(fused.values[band_slice(band)], source[band_slice(band)])
+    assert np.array_equal(fused.values[-2:], (values if shape else prior)[-2:])
+    assert fused.shape_route is (Route.MEASURED if shape else Route.PRIOR)
+    assert fused.values.dtype == np.float32
+    assert confidence - 1e-12 <= fused.confidence <= 1.0
+
+
+@settings(max_examples=20, deadline=None)
+@given(tokens, confidences)
+def test_without_micro_geometry_the_prior_is_all_there_is(prior, confidence):
+    fused = fuse(None, prior, confidence)
+    assert np.array_equal(fused.values, prior)
+    assert set(fused.routes) == {Route.PRIOR}
+    assert fused.confidence == pytest.approx(confidence)
+
+
+@settings(max_examples=20, deadline=None)
+@given(tokens)
+def test_flat_where_resolved_is_measured_flat(prior):
+    flat = measured_token(smooth_token_values(), [True] * BANDS, True)
+    fused = fuse(flat, prior, 0.1)
+    assert np.array_equal(fused.values, smooth_token_values())
+    assert set(fused.routes) == {Route.MEASURED}
+    assert fused.confidence == 1.0
+
+
+def test_the_report_names_wavelengths_and_routes():
+    token = measured_token(smooth_token_values(), [True, True, False, False, False, False, False], False)
+    fused = fuse(token, smooth_token_values(), 0.5, route=Route.PREDICTED)
+    assert routes_by_band(fused.routes) == {
+        "8 mm": "predicted",
+        "4 mm": "predicted",
+        "2 mm": "prior",
+        "1 mm": "prior",
+        "0.5 mm": "prior",
+        "0.25 mm": "prior",
+        "0.125 mm": "prior",
+    }
+
+
+def test_a_library_token_that_cannot_be_one_is_refused():
+    with pytest.raises(MaterialError):
+        fuse(None, np.zeros(3), 0.5)
+    with pytest.raises(MaterialError):
+        fuse(None, np.full(TOKEN_DIM, np.nan), 0.5)

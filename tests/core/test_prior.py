@@ -1,0 +1,199 @@
+"""The prior route: names and shading values, alone and against each other."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hnf_core.errors import MaterialError
+from hnf_core.material.material import Appearance, LibraryMaterial
+from hnf_core.material.mechanics import UNKNOWN
+from hnf_core.material.prior import rank
+from hnf_core.material.token import TOKEN_DIM
+from hnf_core.material.words import singulars, split_words
+
+
+def entry(name, category, words, color, roughness, metallic=0.0, sheen=0.0, transmission=0.0):
+    look = Appearance(color, roughness, metallic, sheen, transmission)
+    token = np.zeros(TOKEN_DIM, dtype=np.float32)
+    return LibraryMaterial(name, category, tuple(words.split(", ")), look, UNKNOWN, token)
+
+
+LIBRARY = (
+    entry("oak-wood", "wood", "oak, wood, timber", (0.35, 0.2, 0.1), 0.6),
+    entry("varnished-wood", "wood", "varnished wood, wood, parquet", (0.2, 0.1, 0.05), 0.25),
+    entry("brushed-steel", "metal", "brushed metal, steel, stainless", (0.55, 0.55, 0.56), 0.3, 1.0),
+    entry("cast-iron", "metal", "iron, cast iron", (0.2, 0.2, 0.2), 0.6, 1.0),
+    entry("granite", "stone", "granite, stone", (0.3, 0.3, 0.3), 0.7),
+    entry("velvet", "fabric", "velvet, plush", (0.2, 0.05, 0.1), 0.9, 0.0, 1.0),
+    entry("denim", "fabric", "denim, jeans", (0.1, 0.15, 0.3), 0.85, 0.0, 0.2),
+    entry("printer-paper", "paper", "paper", (0.85, 0.85, 0.85), 0.9),
+    entry("abs-plastic", "plastic", "abs, plastic", (0.3, 0.3, 0.3), 0.4),
+    entry("carbon-fibre", "plastic", "carbon fibre, carbon fiber", (0.03, 0.03, 0.03), 0.3),
+    entry("upholstery-foam", "foam", "foam", (0.5, 0.5, 0.45), 0.95),
+    entry("loop-carpet", "carpet", "carpet, rug", (0.3, 0.25, 0.2), 1.0, 0.0, 0.3),
+    entry("ceramic-tile", "tile", "tile, ceramic", (0.8, 0.8, 0.78), 0.15),
+    entry("grained-leather", "leather", "leather, faux leather", (0.15, 0.07, 0.04), 0.55),
+    entry("rubber", "rubber", "rubber", (0.03, 0.03, 0.03), 0.75),
+    entry("window-glass", "glass", "glass, window", (0.95, 0.95, 0.95), 0.02, 0.0, 0.0, 1.0),
+)
+CATEGORY = {material.name: material.category for material in LIBRARY}
+BLANK = Appearance()
+DULL = Appearance((0.2, 0.15, 0.1), 0.6, 0.0, 0.0, 0.0)
+
+
+def best(appearance, *names):
+    return rank(LIBRARY, appearance, names)[0]
+
+
+def categories(appearance, *names):
+    """Categories by their best material."""
+    return list(dict.fromkeys(CATEGORY[s.name] for s in rank(LIBRARY, appearance, names)))
+
+
+@pytest.mark.parametrize(
+    ("names", "look", "expected"),
+    [
+        (("LeatherPartsMat", "LeatherParts_low"), Appearance((0.1, 0.05, 0.03), 0.55, 0.0), "grained-leather"),
+        (("fabric Mystere Peacock Velvet", "SheenChair_fabric"), Appearance((0, 0.09, 0.1), 0.8, 0.0, 1.0), "velvet"),
+        (("MetalPartsMat.003",), Appearance((0.4, 0.4, 0.4), 0.35, 1.0), "brushed-steel"),
+        (("wood Brown", "SheenChair_wood"), Appearance((0.3, 0.18, 0.09), 0.6, 0.0), "oak-wood"),
+        (("PBR_GRANITE-02",), Appearance((0.3, 0.3, 0.3), 0.7, 0.0), "granite"),
+        (("CarbonFiberHood",), Appearance((0.03, 0.03, 0.03), 0.3, 0.0), "carbon-fibre"),
+        (("Holz dunkel",), DULL, "oak-wood"),
+        (("cuir_noir",), Appearance((0.1, 0.06, 0.04), 0.55, 0.0), "grained-leather"),
+    ],
+)
+def test_named_and_consistent_is_near_certain(names, look, expected):
+    suggestion = best(look, *names)
+    assert suggestion.name == expected
+    assert 0.8 < suggestion.confidence <= 1.0
+
+
+def test_what_a_name_leaves_open_the_shading_decides():
+    wooden = Appearance((0.35, 0.2, 0.1), 0.6, 0.0)
+    rubbery = Appearance((0.03, 0.03, 0.03), 0.8, 0.0)
+    assert set(categories(BLANK, "RubberWoodMat")[:2]) == {"rubber", "wood"}
+    assert categories(wooden, "RubberWoodMat")[:2] == ["wood", "rubber"]
+    assert categories(rubbery, "RubberWoodMat")[:2] == ["rubber", "wood"]
+    clear = Appearance((0.95, 0.95, 0.95), 0.02, 0.0, 0.0, 1.0)
+    assert categories(clear, "GlassPlasticMat")[:2] == ["glass", "plastic"]
+    assert categories(Appearance(roughness=0.45, transmission=0.0), "GlassPlasticMat")[:2] == ["plastic", "glass"]
+
+
+def test_shading_alone_tells_a_little():
+    metal = best(Appearance(roughness=0.2, metallic=1.0), "")
+    assert CATEGORY[metal.name] == "metal"
+    assert 0.2 < metal.confidence < 0.65
+    brown = best(Appearance((0.33, 0.19, 0.1), 0.6, 0.0), "Material.001")
+    assert CATEGORY[brown.name] == "wood"
+    assert 0.15 < brown.confidence < 0.5
+    assert best(Appearance((0.8, 0.8, 0.8), 0.5, 0.0, 0.0, 0.0), "Material", "Cube").confidence < 0.35
+
+
+def test_nothing_known_is_all_alike():
+    suggestions = rank(LIBRARY, BLANK, [])
+    assert max(s.confidence for s in suggestions) < 0.1
+    assert {s.reason for s in suggestions} == {"nothing in the scene tells"}
+    assert sorted(s.name for s in suggestions) == sorted(m.name for m in LIBRARY)
+
+
+def test_a_word_is_never_found_inside_another():
+    blank = rank(LIBRARY, BLANK, [])
+    for name in ("Chairman", "Woodward", "tileable", "Brassica", "oaktree", "abstract"):
+        assert rank(LIBRARY, BLANK, [name]) == blank, name
+
+
+def test_a_mat_is_a_material_not_a_rug():
+    assert rank(LIBRARY, BLANK, ["Mat.001"]) == rank(LIBRARY, BLANK, [])
+
+
+def test_the_material_s_name_outweighs_the_object_s_and_that_the_textures():
+    assert categories(BLANK, "leather", "MetalChair")[:2] == ["leather", "metal"]
+    assert categories(BLANK, "metal", "LeatherChair")[:2] == ["metal", "leather"]
+    assert categories(BLANK, "", "LeatherChair", "metal_diff")[:2] == ["leather", "metal"]
+    assert best(BLANK, "leather").confidence > best(BLANK, "", "leather").confidence
+    assert best(BLANK, "", "leather").confidence > best(BLANK, "", "", "leather").confidence
+
+
+def test_the_rarer_word_wins():
+    assert best(BLANK, "denim fabric").name == "denim"
+    assert best(BLANK, "velvet").name == "velvet"
+    assert best(BLANK, "cast iron stove").name == "cast-iron"
+    assert best(BLANK, "lenses").name == "window-glass"
+
+
+def test_the_reason_names_the_words_and_the_values():
+    reason = best(Appearance((0.1, 0.05, 0.03), 0.2, 1.0), "LeatherPartsMat").reason
+    assert "'leather' in 'LeatherPartsMat'" in reason
+    assert "metallic 1.00 does not fit" in reason
+
+
+looks = st.builds(
+    Appearance,
+    st.none() | st.tuples(*[st.floats(0, 1)] * 3),
+    *[st.none() | st.floats(0, 1) for _ in range(4)],
+)
+name_lists = st.lists(st.text(max_size=20) | st.sampled_from(["WoodMat", "metal", "x_tile", "Lens.001"]), max_size=4)
+
+
+@settings(max_examples=60, deadline=None)
+@given(looks, name_lists)
+def test_every_ranking_is_a_descending_list_of_the_whole_library(look, names):
+    suggestions = rank(LIBRARY, look, names)
+    confidence = [s.confidence for s in suggestions]
+    assert sorted(s.name for s in suggestions) == sorted(CATEGORY)
+    assert confidence == sorted(confidence, reverse=True)
+    assert min(confidence) > 0.0
+    assert max(confidence) <= 1.0
+    assert rank(LIBRARY, look, names) == suggestions
+
+
+@settings(max_examples=30, deadline=None)
+@given(looks, name_lists, st.permutations(range(len(LIBRARY))))
+def test_the_library_s_order_does_not_matter(look, names, order):
+    plain = {s.name: s.confidence for s in rank(LIBRARY, look, names)}
+    for suggestion in rank([LIBRARY[i] for i in order], look, names):
+        assert suggestion.confidence == pytest.approx(plain[suggestion.name], rel=1e-9)
+
+
+@settings(max_examples=30, deadline=None)
+@given(looks, st.sampled_from(LIBRARY))
+def test_a_fitting_name_never_hurts(look, material):
+    def confidence(*names):
+        return {s.name: s.confidence for s in rank(LIBRARY, look, names)}[material.name]
+
+    assert confidence(material.words[0]) >= confidence("") - 1e-12
+
+
+def test_unusable_values_say_nothing_and_an_empty_library_is_an_error():
+    odd = dataclasses.replace(BLANK, roughness=float("nan"), base_color=(float("nan"), 0.0, 0.0))
+    assert rank(LIBRARY, odd, []) == rank(LIBRARY, BLANK, [])
+    assert rank(LIBRARY, Appearance(roughness=7.0), [])[0].name == rank(LIBRARY, Appearance(roughness=1.0), [])[0].name
+    with pytest.raises(MaterialError):
+        rank([], BLANK, [])
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("GlassPlasticMat.001", ["glass", "plastic", "mat"]),
+        ("PBRMetal_04-rough", ["pbr", "metal", "rough"]),
+        ("fabric Mystere Peacock Velvet", ["fabric", "mystere", "peacock", "velvet"]),
+        ("MÉTAL brossé", ["metal", "brosse"]),
+        ("WOOD", ["wood"]),
+        ("42", []),
+    ],
+)
+def test_names_split_into_words(name, words):
+    assert split_words(name) == words
+
+
+@pytest.mark.parametrize(
+    ("plural", "one"), [("lenses", "lens"), ("metals", "metal"), ("glasses", "glass"), ("alloys", "alloy")]
+)
+def test_plurals_lead_to_their_singular(plural, one):
+    assert one in singulars(plural)
+    assert singulars("glass") == ("glass",)
