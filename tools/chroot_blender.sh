@@ -3,7 +3,7 @@
 #
 #   tools/chroot_blender.sh ensure          build it where it is missing (root; 3 minutes, 2 GB)
 #   tools/chroot_blender.sh path            print where it lies; exit 1 where it is not built
-#   tools/chroot_blender.sh run CMD...      run CMD inside, the checkout mounted read-only on /hnf,
+#   tools/chroot_blender.sh run CMD...      run CMD inside, without network, the checkout mounted read-only on /hnf,
 #                                           $HNF_CHROOT_SHARE (if set) read-write on /share
 #   tools/chroot_blender.sh remove          delete it
 #
@@ -17,7 +17,9 @@ repo=$(cd "$(dirname "$0")/.." && pwd)
 root=${HNF_CHROOT:-$repo/build/chroot}
 suites=${HNF_CHROOT_SUITES:-sid trixie} # sid: Blender 5.2 LTS; trixie: 4.3.2, where sid cannot be installed
 mirror=${HNF_DEBIAN_MIRROR:-http://deb.debian.org/debian}
-packages="blender python3-cattr xvfb xauth xdotool scrot imagemagick libgl1-mesa-dri libegl1 libegl-mesa0 libglx-mesa0 fonts-dejavu-core"
+# Debian's blender misses cattr, requests and numpy among its dependencies: without them its extension system does not
+# register and add-ons find no numpy.
+packages="blender python3-cattr python3-requests python3-numpy python3-zstandard xvfb xauth xdotool scrot imagemagick libgl1-mesa-dri libegl1 libegl-mesa0 libglx-mesa0 fonts-dejavu-core"
 clean_env=(env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LANG=C.UTF-8 DEBIAN_FRONTEND=noninteractive)
 
 unavailable() { echo "chroot: $1" >&2; exit 3; }
@@ -32,7 +34,7 @@ enter() {
     local chroot=$1
     shift
     HNF_INNER_ROOT=$chroot HNF_INNER_REPO=$repo HNF_INNER_SHARE=${HNF_CHROOT_SHARE:-} \
-        unshare --mount --pid --fork --kill-child --propagation private bash -euc '
+        unshare --mount --pid --fork --kill-child --propagation private ${isolation:-} bash -euc '
         r=$HNF_INNER_ROOT
         mount -t proc proc "$r/proc"
         mount -t sysfs -o ro sysfs "$r/sys"
@@ -70,6 +72,7 @@ build() {
     done
     printf '#!/bin/sh\nexit 101\n' >"$work/usr/sbin/policy-rc.d"   # no service may start in a chroot
     chmod 755 "$work/usr/sbin/policy-rc.d"
+    ln -sf /proc/self/mounts "$work/etc/mtab"   # Blender lists mounted file systems at start
     # A mirror that lags serves a release file past its date; its signature is checked all the same.
     printf 'Acquire::Check-Valid-Until "false";\nAcquire::Retries "3";\n' >"$work/etc/apt/apt.conf.d/90hnf"
     # shellcheck disable=SC2086  # the package list is meant to split
@@ -77,6 +80,7 @@ build() {
         'apt-get -q update; apt-get -q install -y --no-install-recommends "$@"; apt-get -q clean; rm -rf /var/lib/apt/lists/*' \
         install $packages >>"$root/$suite.log" 2>&1 </dev/null || return 1
     enter "$work" "${clean_env[@]}" timeout 60 blender --version >"$work/hnf-blender-version" 2>>"$root/$suite.log" || return 1
+    echo "$packages" >"$work/hnf-packages" || return 1
     rm -rf --one-file-system "$root/$suite"
     mv "$work" "$root/$suite"
 }
@@ -84,7 +88,8 @@ build() {
 find_built() {
     local suite
     for suite in $suites; do
-        if [ -s "$root/$suite/hnf-blender-version" ]; then echo "$root/$suite"; return 0; fi
+        if [ -s "$root/$suite/hnf-blender-version" ] && [ "$(cat "$root/$suite/hnf-packages" 2>/dev/null)" = "$packages" ]
+        then echo "$root/$suite"; return 0; fi
     done
     return 1
 }
@@ -111,6 +116,7 @@ case "$verb" in
     run)
         require_root
         built=$(find_built) || unavailable "not built yet: run tools/chroot_blender.sh ensure"
+        isolation=--net   # no network: nothing here needs it, and displays cannot clash with the host's
         enter "$built" "${clean_env[@]}" "$@"
         ;;
     remove)
