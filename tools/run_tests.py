@@ -60,8 +60,8 @@ def command_of(check: Check) -> list[str]:
     python = str(ROOT / check.venv / "bin" / "python")
     if not check.is_pytest:
         return [python, *check.arguments]
-    cache = f"cache_dir=build/test/cache-{check.name}"
-    return [python, "-m", "pytest", *check.arguments, "-rfE", "-o", cache, f"--junitxml={RESULTS / check.name}.xml"]
+    own = ["-o", f"cache_dir=build/test/cache-{check.name}", f"--basetemp={RESULTS / f'tmp-{check.name}'}"]
+    return [python, "-m", "pytest", *check.arguments, "-rfE", *own, f"--junitxml={RESULTS / check.name}.xml"]
 
 
 def run(check: Check) -> tuple[list[Case], str]:
@@ -71,7 +71,12 @@ def run(check: Check) -> tuple[list[Case], str]:
         stale.unlink()
     if STOPPING.is_set():
         return [Case(check.name, check.name, "error", "not run: stopped before")], ""
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONFAULTHANDLER": "1"}
+    profile = RESULTS / f"profile-{check.name}"  # so that no test reads or writes a person's own Blender settings
+    environment = os.environ | {
+        "OMP_NUM_THREADS": "1",
+        "PYTHONFAULTHANDLER": "1",
+        "BLENDER_USER_RESOURCES": str(profile),
+    }
     with log_path.open("wb") as log:
         process = subprocess.Popen(
             command_of(check),
