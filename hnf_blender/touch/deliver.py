@@ -1,0 +1,106 @@
+"""What a person gets of a stroke: WAV and picture; and of the run: the baked .blend."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from hnf_core.errors import FileError
+from hnf_core.export.path_on_view import StrokeView
+from hnf_core.export.picture import stroke_picture
+from hnf_core.export.wav import wav_bytes
+from hnf_core.files import content_hash, write_atomically, write_bytes
+from hnf_core.material.fuse import routes_by_band
+
+from ..bridge.render import quiet
+from .feel import BakedStroke, Felt
+from .jobs import Job
+from .report import StrokeReport
+
+
+def deliver(folder: Path, job: Job, baked: BakedStroke, felt: Felt, view: StrokeView) -> StrokeReport:
+    """Write the WAV, then the picture, each atomically; returns the stroke's entry for the report."""
+    main, patch = baked.main_material, baked.main_patch
+    record, fused = baked.records[patch], baked.fused[patch]
+    routes = routes_by_band(fused.routes)
+    resolved = record.resolved_wavelength_m if np.isfinite(record.resolved_wavelength_m) else None
+    names = list(dict.fromkeys(entry.library.name for entry in baked.materials.values()))
+    facts = {
+        "stroke": job.name,
+        "object": job.object_name,
+        "material": main.shader,
+        "library_material": ", ".join(names),
+        "routes": ", ".join(f"{band} {route}" for band, route in routes.items()),
+        "height_source": record.height_source,
+        "confidence": f"{felt.confidence:.3f}",
+    }
+    signal = replace(felt.signal, provenance={**felt.signal.provenance, **facts})
+    data = wav_bytes(signal, where=f"stroke '{job.name}'")
+    stem = file_stem(job.name)
+    write_bytes(folder / f"{stem}.wav", data)
+    stroke_picture(
+        folder / f"{stem}.png", title=job.name, action=felt.action, signal=signal, view=view,
+        facts={
+            "Material": f"{main.shader or 'no material'} on {job.object_name} → {', '.join(names)}, "
+                        f"{main.confidence:.0%} ({main.reason})",
+            "Routes": facts["routes"],
+            "Height": _height_line(record.height_source, resolved),
+            "Confidence": f"{felt.confidence:.0%}; probe: {baked.stroke.probe}",
+        },
+    )  # fmt: skip
+    return StrokeReport(
+        name=job.name,
+        object=job.object_name,
+        material=main.shader,
+        library_material=", ".join(names),
+        routes=routes,
+        resolved_wavelength_m=resolved,
+        height_source=record.height_source,
+        height_peak_to_peak_m=None if record.height is None else float(np.ptp(record.height[record.mask])),
+        wav=f"{stem}.wav",
+        picture=f"{stem}.png",
+        duration_s=round(signal.duration_s, 6),
+        rms_m_s2=signal.rms,
+        confidence=round(felt.confidence, 4),
+        probe=baked.stroke.probe,
+        seed=job.seed,
+        fresh=False,
+        key=job.key,
+        wav_hash=content_hash(data),
+    )
+
+
+def file_stem(name: str) -> str:
+    """A plain file name from a stroke's name; where it had to change, four digits of a hash part what looks alike."""
+    plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
+    slug = re.sub(r"[^A-Za-z0-9]+", "-", plain).strip("-").lower()[:60] or "stroke"
+    return f"{slug}-{content_hash(name)[:4]}" if slug != name.lower().replace(" ", "-") else slug
+
+
+def save_baked(path: Path) -> None:
+    """Save a copy of what is open to path; the file the user has open stays what it is. Raises FileError."""
+    import bpy
+
+    def write(temporary: Path) -> None:
+        temporary.unlink()  # Blender would keep the empty file as its backup
+        try:
+            with quiet():
+                bpy.ops.wm.save_as_mainfile(filepath=str(temporary), copy=True, compress=True, relative_remap=True)
+        except RuntimeError as error:
+            raise FileError(
+                f"Blender could not save it ({str(error).strip()}).",
+                where=str(path),
+                remedy="Free some disk space or choose another output folder.",
+            ) from error
+
+    write_atomically(path, write)
+
+
+def _height_line(source: str, resolved: float | None) -> str:
+    if resolved is None:
+        return "no micro-geometry in the shader"
+    return f"{source}; resolves waves from {resolved * 1e3:.2g} mm"

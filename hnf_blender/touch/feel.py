@@ -1,0 +1,170 @@
+"""One stroke: contacts → patches → materials → u(t) → field → signal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.action.action import Action
+from hnf_core.action.contacts import Contacts, find_contacts
+from hnf_core.action.patches import action_from_contacts, plan_patches
+from hnf_core.errors import StrokeError
+from hnf_core.field.field import Field
+from hnf_core.field.stroke import StrokeInput
+from hnf_core.field.stroke_profile import stroke_profile
+from hnf_core.field.synthesis import synthesise
+from hnf_core.material.fuse import FusedToken, fuse
+from hnf_core.material.library import find
+from hnf_core.material.material import LibraryMaterial
+from hnf_core.material.prior import rank
+from hnf_core.scene.patch import Patch
+from hnf_core.signal import Signal
+
+from ..bridge.strokes import SceneStroke
+from .bake import TouchedObject, bake_patches, mean_appearance, tactile_map_of, token_of
+from .report import Counts
+from .store import PatchRecord
+
+
+@dataclass(frozen=True)
+class SlotMaterial:
+    """What a material slot is taken to be. shader: the material's own name. reason: why, for the report."""
+
+    shader: str
+    library: LibraryMaterial
+    confidence: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class BakedStroke:
+    """A stroke on its surface, described: everything the field needs, nothing heard yet.
+
+    records, fused: per patch. patch_index: (n,) int32, −1 off the surface. materials: by slot.
+    """
+
+    stroke: SceneStroke
+    touched: TouchedObject
+    contacts: Contacts
+    patches: tuple[Patch, ...]
+    patch_index: NDArray[np.int32]
+    records: tuple[PatchRecord, ...]
+    fused: tuple[FusedToken, ...]
+    materials: Mapping[int, SlotMaterial]
+
+    @property
+    def main_patch(self) -> int:
+        """The patch that the most samples touch."""
+        return int(np.bincount(self.patch_index[self.patch_index >= 0]).argmax())
+
+    @property
+    def main_material(self) -> SlotMaterial:
+        return self.materials[self.patches[self.main_patch].slot]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        own = list(self.stroke.notes) + list(self.touched.surface.notes)
+        for record in self.records:
+            own += record.notes
+        off = float(np.mean(~self.contacts.on_surface))
+        if off > 0.0:
+            own.append(f"stroke '{self.stroke.name}': {off:.0%} of its time it is off the surface and silent.")
+        if not self.contacts.uv_known[self.contacts.on_surface].all():
+            own.append(
+                f"object '{self.stroke.object_name}' has no usable UVs under stroke '{self.stroke.name}': directions "
+                "are counted from the object's own axes."
+            )
+        return tuple(dict.fromkeys(own))
+
+
+@dataclass(frozen=True)
+class Felt:
+    """What a stroke gives. confidence: 0–1, of material and synthesis together."""
+
+    action: Action
+    signal: Signal
+    confidence: float
+    warnings: tuple[str, ...]
+
+
+def bake_stroke(
+    stroke: SceneStroke, touched: TouchedObject, choices: Mapping[int | None, str], folder: Path, counts: Counts
+) -> BakedStroke:
+    """Where and what a stroke touches. choices: slot (None = any) → library material that the artist named.
+
+    Raises StrokeError where the stroke touches nothing.
+    """
+    where = f"stroke '{stroke.name}'"
+    contacts = find_contacts(stroke.samples, stroke.surface(touched.surface.mesh), where=where)
+    counts.rays += len(stroke.samples.time)
+    if not contacts.on_surface.any():
+        nearest = float(contacts.distance.min()) * 1e3
+        raise StrokeError(
+            f"it touches nothing: at its nearest it is {nearest:.1f} mm from object '{stroke.object_name}'.",
+            where=where,
+            remedy="Move the curve onto the surface (Shrinkwrap, or snap to face), or choose its Surface.",
+        )
+    if not (contacts.on_surface & (contacts.force > 0.0)).any():
+        raise StrokeError(
+            "its force is 0 wherever it is on the surface.", where=where, remedy="Key a force above 0 N."
+        )
+    patches, patch_index = plan_patches(contacts)
+    records = bake_patches(touched, patches, folder, counts)
+    materials = {
+        slot: decide_material(stroke, touched, slot, choices, [r for p, r in zip(patches, records, strict=True) if p.slot == slot])
+        for slot in dict.fromkeys(patch.slot for patch in patches)
+    }  # fmt: skip
+    fused = tuple(
+        fuse(token_of(record), materials[patch.slot].library.token, materials[patch.slot].confidence)
+        for patch, record in zip(patches, records, strict=True)
+    )
+    return BakedStroke(stroke, touched, contacts, patches, patch_index, records, fused, materials)
+
+
+def decide_material(
+    stroke: SceneStroke,
+    touched: TouchedObject,
+    slot: int,
+    choices: Mapping[int | None, str],
+    records: Sequence[PatchRecord],
+) -> SlotMaterial:
+    """The artist's choice if there is one (command line, then the stroke's own), else the best-ranked material."""
+    from hnf_core.material.library import load_library
+
+    surface = touched.surface
+    shader = surface.materials[slot] if slot < len(surface.materials) else ""
+    chosen = choices.get(slot) or choices.get(None) or stroke.material
+    if chosen:
+        return SlotMaterial(shader, find(chosen), 1.0, "chosen by the artist")
+    names = [shader, surface.object_name, touched.obj.data.name]
+    best = rank(load_library(), mean_appearance(records), names)[0]
+    return SlotMaterial(shader, find(best.name), best.confidence, best.reason)
+
+
+def feel(baked: BakedStroke, field: Field, seed: int, counts: Counts) -> Felt:
+    """Synthesise a baked stroke. counts grows by one F_Θ call."""
+    action = action_from_contacts(baked.contacts, baked.patches, baked.patch_index, baked.stroke.probe)
+    maps = [tactile_map_of(record) for record in baked.records]
+    given = StrokeInput(
+        action=action,
+        tokens=np.stack([fused.values for fused in baked.fused]).astype(np.float32),
+        mechanics=tuple(baked.materials[patch.slot].library.mechanics for patch in baked.patches),
+        token_index=_held(baked.patch_index),
+        profile=stroke_profile(action.position, baked.contacts.point, baked.patch_index, baked.patches, maps),
+    )
+    counts.network_calls += 1
+    made = synthesise(field, given, seed=seed)
+    touched = np.bincount(baked.patch_index[baked.patch_index >= 0], minlength=len(baked.patches))
+    known = float(np.average([fused.confidence for fused in baked.fused], weights=touched))
+    return Felt(action, made.signal, known * made.confidence, made.warnings)
+
+
+def _held(index: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Off the surface the last touched patch goes on, before the first touch the first one."""
+    good = np.flatnonzero(index >= 0)
+    at = np.clip(np.searchsorted(good, np.arange(len(index)), side="right") - 1, 0, None)
+    return index[good[at]].astype(np.int32)

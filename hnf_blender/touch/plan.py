@@ -1,0 +1,75 @@
+"""What this run needs, what is fresh, what is left out, and why: made before anything is rendered or cast."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+from .report import Failed, Skipped
+
+CLOSEUP_SECONDS, PICTURE_SECONDS, SYNTHESIS_SECONDS = 0.7, 3.0, 0.5
+"""Rough cost on two cores, for the estimate only."""
+
+
+@dataclass(frozen=True)
+class Needed:
+    """One stroke to be made. patches: upper bound of the close-ups it takes. why: what is not fresh."""
+
+    stroke: str
+    object: str
+    material: str
+    patches: int
+    why: str
+
+
+@dataclass(frozen=True)
+class Fresh:
+    """One stroke whose signal is there and still true."""
+
+    stroke: str
+    object: str
+    wav: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    needed: tuple[Needed, ...]
+    fresh: tuple[Fresh, ...]
+    skipped: tuple[Skipped, ...]
+    failed: tuple[Failed, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def renders(self) -> int:
+        """Upper bound: one close-up a patch and one picture a stroke."""
+        return sum(entry.patches + 1 for entry in self.needed)
+
+    @property
+    def seconds(self) -> float:
+        closeups = sum(entry.patches for entry in self.needed)
+        return closeups * CLOSEUP_SECONDS + len(self.needed) * (PICTURE_SECONDS + SYNTHESIS_SECONDS)
+
+    def as_json(self) -> str:
+        record = {**asdict(self), "estimate": {"renders_at_most": self.renders, "seconds": round(self.seconds, 1)}}
+        return json.dumps(record, indent=1, ensure_ascii=False)
+
+    def as_text(self) -> str:
+        lines = []
+        if self.needed:
+            lines.append("Needed:")
+            lines += [
+                f"  {entry.stroke}: on {entry.object}, {entry.material or 'no material'}; "
+                f"at most {entry.patches} close-ups ({entry.why})"
+                for entry in self.needed
+            ]
+            lines.append(f"  at most {self.renders} renders, about {self.seconds:.0f} s")
+        lines += ["Fresh:", *(f"  {entry.stroke}: {entry.wav}" for entry in self.fresh)] if self.fresh else []
+        lines += ["Skipped:", *_bullets(self.skipped)] if self.skipped else []
+        lines += ["Cannot be done:", *(f"  {entry.stroke}: {entry.why}" for entry in self.failed)] if self.failed else []
+        lines += ["Notes:", *(f"  {note}" for note in self.notes)] if self.notes else []
+        return "\n".join(lines) or "Nothing to do."
+
+
+def _bullets(skipped: Sequence[Skipped]) -> list[str]:
+    return [f"  {entry.what}: {entry.why}" for entry in skipped]

@@ -1,0 +1,244 @@
+"""The main job from request to files, as a generator of steps: the command line drives it here, a window later."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+import time
+import traceback
+from collections.abc import Generator, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from hnf_core.cli.progress import Progress, ProgressBar
+from hnf_core.cli.touch import TouchRequest
+from hnf_core.errors import FileError, HnfError
+from hnf_core.field.weights import load_field
+from hnf_core.files import content_hash
+
+from ..bridge.importers import metres_per_unit, open_scene
+from ..bridge.placement import place_primitive
+from .bake import TouchedObject
+from .deliver import deliver, save_baked
+from .feel import BakedStroke, bake_stroke, feel
+from .jobs import Gathered, Job, Session, gather
+from .lock import folder_lock
+from .plan import Fresh, Needed, Plan
+from .report import Failed, Report, StrokeReport, earlier_strokes
+from .tokens import store_tokens
+from .view import Views
+
+CACHE_NAME = "cache"
+TYPICAL_PATH_M, PATCH_PITCH_M = 60e-3, 10e-3
+
+
+def run(request: TouchRequest) -> int:
+    """Do request and tell the person; returns the exit code. Raises HnfError where nothing could be begun."""
+    with folder_lock(request.out), _interruptible():
+        started = time.monotonic()
+        scene = _open(request)
+        opened = time.monotonic()
+        session = _session(scene, request)
+        found = gather(session)
+        earlier = earlier_strokes(request.out)
+        plan = make_plan(session, found, earlier)
+        if request.plan_only:
+            print(plan.as_json() if request.as_json else plan.as_text())
+            return 1 if found.failed else 0
+        report = _new_report(request, found)
+        report.timings = {"open_s": round(opened - started, 3), "plan_s": round(time.monotonic() - opened, 3)}
+        bar = ProgressBar()
+        try:
+            for progress in touch_steps(session, found, plan, earlier, report):
+                bar.show(progress)
+        finally:
+            bar.close()
+            report.timings["total_s"] = round(time.monotonic() - started, 3)
+            report.write(request.out)
+        return _tell(report, request)
+
+
+def touch_steps(
+    session: Session, found: Gathered, plan: Plan, earlier: dict[str, StrokeReport], report: Report
+) -> Generator[Progress, None, None]:
+    """Everything that the plan needs; report grows with each stroke. Where all is fresh, nothing is done."""
+    folder = session.request.out
+    fresh = {job.key: earlier[job.key] for job in found.jobs if _is_fresh(job, earlier, folder)}
+    baked_path = folder / baked_name(session)
+    report.baked_blend = baked_path.name
+    report.strokes = [replace(fresh[job.key], name=job.name, fresh=True) for job in found.jobs if job.key in fresh]
+    if len(fresh) == len(found.jobs) and not found.failed and baked_path.is_file():
+        return
+    baked: list[BakedStroke] = []
+    total = len(found.jobs) + 1
+    views = Views(session.scene, session.metres_per_unit, report.counts)
+    for done, job in enumerate(found.jobs):
+        yield Progress(job.name, done, total)
+        try:
+            with _timed(report, "bake_s"):
+                described = _bake(session, job, report)
+            baked.append(described)
+            if job.key not in fresh:
+                yield Progress(f"{job.name}: synthesis", done, total)
+                report.strokes.append(_feel(session, job, described, views, report))
+        except HnfError as error:
+            report.failed.append(Failed(job.name, str(error)))
+        except KeyboardInterrupt:
+            report.failed += [Failed(left.name, "stopped before it was finished.") for left in found.jobs[done:]]
+            raise
+        except Exception as error:  # a fault of ours: the other strokes are still delivered
+            traceback.print_exc()
+            report.failed.append(Failed(job.name, f"{job.name}: internal error ({error!r}). Please report it."))
+        report.write(folder)
+    yield Progress("saving", total - 1, total)
+    if baked:
+        with _timed(report, "save_s"):
+            for warning in store_tokens(baked):
+                report.warn(warning)
+            save_baked(baked_path)
+
+
+def make_plan(session: Session, found: Gathered, earlier: dict[str, StrokeReport]) -> Plan:
+    """Nothing is rendered and no ray is cast for it."""
+    needed, fresh = [], []
+    for job in found.jobs:
+        touched = session.touched(session.scene.objects[job.object_name])
+        if _is_fresh(job, earlier, session.request.out):
+            fresh.append(Fresh(job.name, job.object_name, earlier[job.key].wav))
+            continue
+        length = TYPICAL_PATH_M if job.stroke is None else job.stroke.length_m
+        slots = touched.surface.materials
+        shader = slots[job.slot] if job.slot is not None and job.slot < len(slots) else ", ".join(slots)
+        why = "changed since the last run" if _has_name(earlier, job.name) else "not baked yet"
+        needed.append(Needed(job.name, job.object_name, shader, int(length / PATCH_PITCH_M) + 1, why))
+    return Plan(tuple(needed), tuple(fresh), tuple(found.skipped), tuple(found.failed), tuple(found.notes))
+
+
+def baked_name(session: Session) -> str:
+    source = _source(session.request)
+    return f"{source.stem}_touched.blend"
+
+
+def _session(scene: Any, request: TouchRequest) -> Session:
+    import bpy
+
+    view_layer = bpy.context.view_layer if scene == bpy.context.scene else scene.view_layers[0]
+    return Session(scene, view_layer, metres_per_unit(scene, request.metres_per_unit), request, load_field().identity)
+
+
+def _open(request: TouchRequest) -> Any:
+    import bpy
+
+    if request.scene is not None:
+        return open_scene(request.scene)
+    if not bpy.data.filepath:
+        raise FileError(
+            "no scene: no file is open and none was named.",
+            remedy="Run: hnf touch SCENE --out DIR, or: blender -b FILE.blend --command hnf touch --out DIR "
+            "(check that FILE.blend exists).",
+        )
+    return bpy.context.scene
+
+
+def _source(request: TouchRequest) -> Path:
+    import bpy
+
+    return request.scene if request.scene is not None else Path(bpy.data.filepath)
+
+
+def _new_report(request: TouchRequest, found: Gathered) -> Report:
+    report = Report(scene=_source(request).name, skipped=list(found.skipped), failed=list(found.failed))
+    for note in found.notes:
+        report.warn(note)
+    return report
+
+
+def _is_fresh(job: Job, earlier: dict[str, StrokeReport], folder: Path) -> bool:
+    """The signal of an equal stroke is there, byte for byte as it was written."""
+    known = earlier.get(job.key)
+    if known is None or Path(known.wav).name != known.wav:
+        return False
+    try:
+        return content_hash((folder / known.wav).read_bytes()) == known.wav_hash and (folder / known.picture).is_file()
+    except OSError:
+        return False
+
+
+def _has_name(earlier: dict[str, StrokeReport], name: str) -> bool:
+    return any(stroke.name == name for stroke in earlier.values())
+
+
+def _bake(session: Session, job: Job, report: Report) -> BakedStroke:
+    stroke = job.stroke
+    if stroke is None:
+        obj = session.scene.objects[job.object_name]
+        placed = place_primitive(
+            session.scene, obj, job.slot, job.primitive, session.metres_per_unit, seed=job.seed, name=job.name
+        )
+        report.counts.rays += placed.rays
+        stroke = session.read(placed.curve)
+    touched: TouchedObject = session.touched(session.scene.objects[stroke.object_name])
+    baked = bake_stroke(
+        stroke, touched, session.choices(stroke.object_name), session.request.out / CACHE_NAME, report.counts
+    )
+    for note in baked.notes:
+        report.warn(note)
+    return baked
+
+
+def _feel(session: Session, job: Job, baked: BakedStroke, views: Views, report: Report) -> StrokeReport:
+    with _timed(report, "synthesis_s"):
+        felt = feel(baked, load_field(), job.seed, report.counts)
+    for warning in felt.warnings:
+        report.warn(f"stroke '{job.name}': {warning}")
+    with _timed(report, "picture_s"):
+        view, notes = views.of_stroke(baked.contacts, baked.touched.surface, baked.touched.obj)
+        for note in notes:
+            report.warn(note)
+        return deliver(session.request.out, job, baked, felt, view)
+
+
+def _tell(report: Report, request: TouchRequest) -> int:
+    """The result for a person, or as JSON; problems go to stderr, one line each."""
+    if request.as_json:
+        print(report.as_json(), end="")
+    else:
+        for stroke in report.strokes:
+            state = "  (fresh)" if stroke.fresh else ""
+            print(
+                f"{stroke.name}: {stroke.library_material} ({stroke.confidence:.0%}), {stroke.duration_s:.2f} s, "
+                f"{stroke.rms_m_s2:.3g} m/s² RMS → {request.out / stroke.wav}{state}"
+            )
+        counts = report.counts
+        print(f"{counts.renders} renders, {counts.rays} rays, {counts.network_calls} network calls; "
+              f"report: {request.out / 'report.json'}")  # fmt: skip
+    for warning in report.warnings:
+        print(f"note: {warning}", file=sys.stderr)
+    for failed in report.failed:
+        print(f"hnf: {failed.why}", file=sys.stderr)
+    return 1 if report.failed else 0
+
+
+@contextlib.contextmanager
+def _timed(report: Report, name: str) -> Iterator[None]:
+    start = time.monotonic()
+    try:
+        yield
+    finally:
+        report.timings[name] = round(report.timings.get(name, 0.0) + time.monotonic() - start, 3)
+
+
+@contextlib.contextmanager
+def _interruptible() -> Iterator[None]:
+    """Blender swallows Ctrl-C in the background; here it must stop the run and keep what is finished."""
+    try:
+        before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    except ValueError:  # not the main thread: whoever runs us there stops us
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

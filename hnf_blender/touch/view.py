@@ -1,0 +1,133 @@
+"""The rendered view in a stroke's picture: the scene's own camera where it shows the stroke, one of ours else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.action.contacts import Contacts
+from hnf_core.export.path_on_view import StrokeView
+from hnf_core.scene.camera import Camera
+from hnf_core.scene.view import RgbdView
+
+from ..bridge.meshes import Surface
+from ..bridge.picture import render_overview
+from ..bridge.scene_camera import camera_record, overview_camera
+from .report import Counts
+
+Float = NDArray[np.float64]
+
+WIDTH, HEIGHT, SAMPLES = 960, 540, 16
+LEAST_SHARE = 0.08
+"""A stroke shorter than this share of the picture's width is better seen by a camera of our own."""
+NEIGHBOURS, NEIGHBOUR_FACES = 40, 400_000
+"""What else may stand in the picture: its cost must not follow the size of the scene."""
+BEHIND_M = 3e-3
+"""A contact point this far behind what the picture shows there is hidden."""
+
+
+@dataclass(frozen=True)
+class Overview:
+    """A lit view and the camera it was taken with (world metres)."""
+
+    view: RgbdView
+    notes: tuple[str, ...]
+
+
+class Views:
+    """Overviews of one run; a scene camera that serves several strokes is rendered once."""
+
+    def __init__(self, scene: Any, metres_per_unit: float, counts: Counts) -> None:
+        self._scene, self._metres, self._counts = scene, metres_per_unit, counts
+        self._from_scene_camera: Overview | None = None
+
+    def of_stroke(self, contacts: Contacts, surface: Surface, touched: Any) -> tuple[StrokeView, tuple[str, ...]]:
+        """The picture of a stroke with its path in it, and notes. touched: the object under the stroke."""
+        path = contacts.point @ surface.rigid[:3, :3].T + surface.rigid[:3, 3]
+        camera = self._scene_camera()
+        if camera is not None and shows(camera, path):
+            if self._from_scene_camera is None:
+                self._from_scene_camera = self._render(camera, path, touched, use_scene_camera=True)
+            overview = self._from_scene_camera
+        else:
+            outward = contacts.normal.mean(axis=0) @ surface.rigid[:3, :3].T
+            radius = 1.6 * float(np.linalg.norm(path - path.mean(axis=0), axis=1).max()) + 0.03
+            overview = self._render(overview_camera(path, outward, radius, WIDTH, HEIGHT), path, touched)
+        uv, depth = overview.view.camera.project(path)
+        return StrokeView(overview.view.rgb, uv, contacts.force, _visible(overview.view, uv, depth)), overview.notes
+
+    def _render(self, camera: Camera, path: Float, touched: Any, use_scene_camera: bool = False) -> Overview:
+        objects = in_view(self._scene, camera, path, touched, self._metres)
+        self._counts.renders += 1
+        view, notes = render_overview(
+            self._scene,
+            None if use_scene_camera else camera,
+            metres_per_unit=self._metres,
+            samples=SAMPLES,
+            objects=objects,
+        )
+        return Overview(view, notes)
+
+    def _scene_camera(self) -> Camera | None:
+        if self._scene.camera is None or self._scene.camera.data.type not in {"PERSP", "ORTHO"}:
+            return None
+        return camera_record(self._scene, self._scene.camera, self._metres)
+
+
+def shows(camera: Camera, path: Float) -> bool:
+    """Does the camera see the whole path (n, 3), and large enough?"""
+    uv, depth = camera.project(path)
+    size = np.array([camera.width, camera.height])
+    inside = (uv > 0).all() and (uv < size).all() and (depth > camera.clip_start).all()
+    extent = (uv.max(axis=0) - uv.min(axis=0)).max() if inside else 0.0
+    return bool(extent >= LEAST_SHARE * camera.width)
+
+
+def in_view(scene: Any, camera: Camera, path: Float, touched: Any, metres_per_unit: float) -> list[Any]:
+    """The touched object and the nearest visible neighbours whose bounding sphere meets the picture."""
+    middle = path.mean(axis=0)
+    near: list[tuple[float, Any]] = []
+    for obj in scene.objects:
+        if obj == touched or obj.type not in {"MESH", "CURVE", "SURFACE", "META", "FONT"} or obj.hide_render:
+            continue
+        if obj.type == "CURVE" and obj.hnf_stroke.is_stroke:
+            continue
+        corners = np.array([list(corner) for corner in obj.bound_box]) @ np.array(obj.matrix_world.to_3x3()).T
+        corners = (corners + np.array(obj.matrix_world.translation)) * metres_per_unit
+        centre = corners.mean(axis=0)
+        radius = float(np.linalg.norm(corners - centre, axis=1).max())
+        if meets_view(camera, centre, radius):
+            near.append((float(np.linalg.norm(centre - middle)) - radius, obj))
+    chosen, faces = [touched], 0
+    for _, obj in sorted(near, key=lambda item: (item[0], item[1].name))[:NEIGHBOURS]:
+        faces += len(obj.data.polygons) if obj.type == "MESH" else 1000
+        if faces > NEIGHBOUR_FACES:
+            break
+        chosen.append(obj)
+    return chosen
+
+
+def meets_view(camera: Camera, centre: Float, radius: float) -> bool:
+    """May a sphere show in the picture? (Conservative: never False for one that does.)"""
+    uv, depth = camera.project(np.stack([centre, centre]))
+    if depth[0] < -radius:
+        return False
+    focal = camera.intrinsics[0, 0]
+    reach = radius * focal
+    if camera.kind == "perspective":
+        if depth[0] < 2.0 * radius:
+            return True
+        reach = 1.5 * radius * focal / (depth[0] - radius)
+    size = np.array([camera.width, camera.height])
+    return bool((uv[0] > -reach).all() and (uv[0] < size + reach).all())
+
+
+def _visible(view: RgbdView, uv: Float, depth: Float) -> NDArray[np.bool_]:
+    """(n,) is the path's point what the picture shows there?"""
+    column = np.clip(uv[:, 0].astype(int), 0, view.camera.width - 1)
+    row = np.clip(uv[:, 1].astype(int), 0, view.camera.height - 1)
+    inside = (uv >= 0).all(axis=1) & (uv < [view.camera.width, view.camera.height]).all(axis=1)
+    return np.asarray(inside & (depth <= view.depth[row, column] + BEHIND_M))
