@@ -73,7 +73,7 @@ def _tree_parts(tree: Any, seen: set[str]) -> Iterator[str]:
     if tree.animation_data is not None and tree.animation_data.drivers:
         yield repr([(driver.data_path, driver.driver.expression) for driver in tree.animation_data.drivers])
     for node in sorted(tree.nodes, key=lambda node: node.name):
-        if node.bl_idname in {"NodeFrame", "NodeReroute"} and node.bl_idname == "NodeFrame":
+        if node.bl_idname == "NodeFrame":
             continue
         yield node.name
         yield node.bl_idname
@@ -82,12 +82,11 @@ def _tree_parts(tree: Any, seen: set[str]) -> Iterator[str]:
         if node.bl_idname.startswith(("ShaderNodeValue", "ShaderNodeRGB")):
             yield repr([_socket_value(socket) for socket in node.outputs])
         yield from _special_parts(node, seen)
-    for link in sorted(
+    yield from sorted(
         f"{link.from_node.name}|{link.from_socket.identifier}|{link.to_node.name}|{link.to_socket.identifier}"
         for link in tree.links
         if not link.is_muted
-    ):
-        yield link
+    )
 
 
 def _simple_properties(node: Any) -> Iterator[tuple[str, str]]:
@@ -118,7 +117,7 @@ def _special_parts(node: Any, seen: set[str]) -> Iterator[str]:
     if ramp is not None:
         yield repr((ramp.interpolation, ramp.color_mode, [(e.position, list(e.color)) for e in ramp.elements]))
     mapping = getattr(node, "mapping", None)
-    if hasattr(mapping, "curves"):
+    if mapping is not None and hasattr(mapping, "curves"):
         yield repr([[list(point.location) for point in curve.points] for curve in mapping.curves])
     texture = getattr(node, "texture_mapping", None)
     if texture is not None:

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+
 from hnf_core.errors import SceneError
 from hnf_core.material.palette import Palette
-from numpy.typing import NDArray
 
 TOKEN_ATTRIBUTE = "hnf_token"
 ROUGHNESS_ATTRIBUTE = "hnf_roughness"
@@ -41,7 +42,7 @@ def write_tokens(mesh: Any, tokens: FaceTokens) -> None:
         raise SceneError(
             f"its mesh is linked from {mesh.library.filepath} and cannot be written.",
             where=f"mesh '{mesh.name}'",
-            remedy="Make it local (Object > Relations > Make Local) to keep tokens on it; the signals are not affected.",
+            remedy="Make it local (Object > Relations > Make Local) to keep tokens on it; the signals are unharmed.",
         )
     if mesh.is_editmode:
         raise SceneError("it is in Edit Mode.", where=f"mesh '{mesh.name}'", remedy="Leave Edit Mode and bake again.")
@@ -82,6 +83,6 @@ def _write(mesh: Any, name: str, kind: str, values: NDArray[Any]) -> None:
 
 
 def _read(mesh: Any, name: str, dtype: type) -> NDArray[Any]:
-    values = np.empty(len(mesh.polygons), dtype=dtype)
+    values: NDArray[Any] = np.empty(len(mesh.polygons), dtype=dtype)
     mesh.attributes[name].data.foreach_get("value", values)
     return values

@@ -99,9 +99,9 @@ def token_of(record: PatchRecord) -> Token | None:
 def mean_appearance(records: Sequence[PatchRecord]) -> Appearance:
     """Shading values of several patches of one material, each averaged over the patches that know it."""
     colours = [record.appearance.base_color for record in records if record.appearance.base_color is not None]
-    red, green, blue = np.mean(colours, axis=0) if colours else (None,) * 3
+    red, green, blue = np.mean(colours, axis=0) if colours else (0.0, 0.0, 0.0)
     return Appearance(
-        None if red is None else (float(red), float(green), float(blue)),
+        None if not colours else (float(red), float(green), float(blue)),
         *(_mean([getattr(record.appearance, name) for record in records])
           for name in ("roughness", "metallic", "sheen", "transmission")),
     )  # fmt: skip

@@ -18,7 +18,7 @@ from hnf_core.field.stroke import StrokeInput
 from hnf_core.field.stroke_profile import stroke_profile
 from hnf_core.field.synthesis import synthesise
 from hnf_core.material.fuse import FusedToken, fuse
-from hnf_core.material.library import find
+from hnf_core.material.library import find, load_library
 from hnf_core.material.material import LibraryMaterial
 from hnf_core.material.prior import rank
 from hnf_core.scene.patch import Patch
@@ -114,10 +114,10 @@ def bake_stroke(
         )
     patches, patch_index = plan_patches(contacts)
     records = bake_patches(touched, patches, folder, counts)
-    materials = {
-        slot: decide_material(stroke, touched, slot, choices, [r for p, r in zip(patches, records, strict=True) if p.slot == slot])
-        for slot in dict.fromkeys(patch.slot for patch in patches)
-    }  # fmt: skip
+    materials = {}
+    for slot in dict.fromkeys(patch.slot for patch in patches):
+        own = [record for patch, record in zip(patches, records, strict=True) if patch.slot == slot]
+        materials[slot] = decide_material(stroke, touched, slot, choices, own)
     fused = tuple(
         fuse(token_of(record), materials[patch.slot].library.token, materials[patch.slot].confidence)
         for patch, record in zip(patches, records, strict=True)
@@ -133,8 +133,6 @@ def decide_material(
     records: Sequence[PatchRecord],
 ) -> SlotMaterial:
     """The artist's choice if there is one (command line, then the stroke's own), else the best-ranked material."""
-    from hnf_core.material.library import load_library
-
     surface = touched.surface
     shader = surface.materials[slot] if slot < len(surface.materials) else ""
     chosen = choices.get(slot) or choices.get(None) or stroke.material
@@ -167,4 +165,4 @@ def _held(index: NDArray[np.int32]) -> NDArray[np.int32]:
     """Off the surface the last touched patch goes on, before the first touch the first one."""
     good = np.flatnonzero(index >= 0)
     at = np.clip(np.searchsorted(good, np.arange(len(index)), side="right") - 1, 0, None)
-    return index[good[at]].astype(np.int32)
+    return np.asarray(index[good[at]], dtype=np.int32)

@@ -56,7 +56,9 @@ class Gathered:
 class Session:
     """One scene during one run: its surfaces and hashes, each made once, by object name."""
 
-    def __init__(self, scene: Any, view_layer: Any, metres_per_unit: float, request: TouchRequest, field_id: str) -> None:
+    def __init__(
+        self, scene: Any, view_layer: Any, metres_per_unit: float, request: TouchRequest, field_id: str
+    ) -> None:
         self.scene, self.view_layer, self.metres_per_unit, self.request = scene, view_layer, metres_per_unit, request
         self._surfaces: dict[str, Surface] = {}
         self._touched: dict[str, TouchedObject] = {}
@@ -155,7 +157,9 @@ def gather(session: Session) -> Gathered:
                     name, Target(obj.name, slot), DEFAULT_PRIMITIVE),
             )  # fmt: skip
         if not found.jobs and not found.failed:
-            raise SceneError("the scene shows no mesh with faces.", where=str(scene.name), remedy="Nothing can be touched.")
+            raise SceneError(
+                "it shows no mesh with faces.", where=f"scene '{scene.name}'", remedy="Unhide or add one to touch."
+            )
     found.skipped += list(_left_out(session, {job.object_name for job in found.jobs}))
     for name in dict.fromkeys(job.object_name for job in found.jobs):
         warning = size_warning(scene.objects[name], session.metres_per_unit)

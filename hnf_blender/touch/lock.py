@@ -31,7 +31,9 @@ def folder_lock(folder: Path) -> Iterator[None]:
     with stream:
         if not _try_lock(stream):
             raise FileError(
-                "another run is writing to this folder.", where=str(folder), remedy="Wait for it, or give another --out."
+                "another run is writing to this folder.",
+                where=str(folder),
+                remedy="Wait for it, or give another --out.",
             )
         yield  # the file stays: removing it would let a third run lock a new one beside a waiting second
 

@@ -66,7 +66,7 @@ class Plan:
             lines.append(f"  at most {self.renders} renders, about {self.seconds:.0f} s")
         lines += ["Fresh:", *(f"  {entry.stroke}: {entry.wav}" for entry in self.fresh)] if self.fresh else []
         lines += ["Skipped:", *_bullets(self.skipped)] if self.skipped else []
-        lines += ["Cannot be done:", *(f"  {entry.stroke}: {entry.why}" for entry in self.failed)] if self.failed else []
+        lines += ["Cannot be done:", *(f"  {entry.why}" for entry in self.failed)] if self.failed else []
         lines += ["Notes:", *(f"  {note}" for note in self.notes)] if self.notes else []
         return "\n".join(lines) or "Nothing to do."
 

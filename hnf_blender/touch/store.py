@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+
 from hnf_core.files import write_atomically
 from hnf_core.material.material import Appearance
-from numpy.typing import NDArray
 
 STORE_VERSION = 1
 
@@ -78,7 +79,7 @@ def save_patch(folder: Path, key: str, record: PatchRecord) -> None:
 
     def write(path: Path) -> None:
         with path.open("wb") as stream:
-            np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
+            np.savez_compressed(stream, **arrays)
 
     write_atomically(folder / f"{key}.npz", write)
 

@@ -66,7 +66,7 @@ def face_tokens(mesh: Any, strokes: Sequence[BakedStroke]) -> FaceTokens:
 def _roughness(palette: Palette, index: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     """RMS height in metres over all bands of each face's token; 0 where nothing was touched."""
     power = np.sum(10.0 ** (2.0 * palette.tokens[:, LEVELS].astype(np.float64)), axis=1)
-    return np.append(np.sqrt(power), 0.0)[index].astype(np.float32)
+    return np.asarray(np.append(np.sqrt(power), 0.0)[index], dtype=np.float32)
 
 
 def _still_true(mesh: Any, source: str) -> FaceTokens | None:
