@@ -1,17 +1,17 @@
 """The prior route: from shading values and names to a ranked list of library materials.
 
-Naive Bayes over the library. Prior: every category alike, its materials alike. Words: a word that names a material
-makes it WORD_ODDS times likelier, less where the word belongs to several categories or stands in a less telling name.
-Shading values: truncated normals around the library's typical value, mixed with a uniform one (artists do as they
-like) and tempered (values are often left at their defaults, and hang together). The confidence of a suggestion is its
-expected aptness: 1 where it is right, ALIKE where another material of its category is.
+Naive Bayes over the library. Prior: how common a category is in scenes, within it from the usual to the special.
+Words: a word that names a material makes it WORD_ODDS times likelier, less where the word belongs to several
+categories or stands in a less telling name. Shading values: truncated normals around the library's typical value,
+mixed with a uniform one (artists do as they like) and tempered (values hang together). The confidence of a suggestion
+is its expected aptness: 1 where it is right, ALIKE where another material of its category is.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,17 +21,22 @@ from .material import Appearance, LibraryMaterial
 from .words import CATEGORY_WORDS, OBJECT_WORDS, STOP_WORDS, singulars, split_words
 
 WORD_ODDS = 300.0
-NAME_WEIGHTS = (1.0, 0.6, 0.45)
+NAME_WEIGHTS = (1.0, 0.6, 0.35)
 """Exponents of WORD_ODDS for a word in the first name (the material's), the second (the object's), any other."""
 OBJECT_WORD_WEIGHT = 0.55
-"""For words of things, not stuffs: a lens is mostly glass."""
+"""For words of things and finishes, not stuffs: a lens is mostly glass, satin is often metal."""
 NAME_PART_WEIGHT = 0.4
 """For parts of a library material's own name: "coarse" says something of coarse-carpet, not much."""
 RELATED_WEIGHT = 0.7
 """For the others of a category where one of them bears the very word: velvet is also a fabric, but not denim."""
+COMMON = {"plastic": 1.6, "wood": 1.3, "metal": 1.3, "fabric": 1.3, "carpet": 0.7, "foam": 0.5}
+"""How often scenes hold a category, against the others' 1: all that is left where nothing else tells."""
+DEFAULT_GREY, DEFAULT_ROUGHNESS = 0.8, 0.5
+"""Of a new Principled BSDF."""
 TEMPER = 0.6
 UNIFORM_FLOOR = 0.03
 ALIKE = 0.85
+REASON_WORDS = 3
 SPREAD = {"roughness": 0.18, "metallic": 0.12, "sheen": 0.25, "transmission": 0.2}
 DOUBT = {"roughness": 0.2, "metallic": 0.1, "sheen": 0.2, "transmission": 0.1}
 """Share of the uniform part: how often a value says nothing."""
@@ -66,12 +71,13 @@ def rank(library: Sequence[LibraryMaterial], appearance: Appearance, names: Sequ
     """All library materials, the most apt first.
 
     appearance: shading values, None = not known (says nothing). names: the material's name first ("" where it has
-    none), then the object's, then those of textures and collections. Equal input gives equal order; ties keep the
-    library's. Raises MaterialError on an empty library.
+    none), then the object's, then those of textures and collections. library: within a category, the usual first.
+    Equal input gives equal order; ties keep the library's. Raises MaterialError on an empty library.
     """
     if not library:
         raise MaterialError("the material library is empty.", remedy="Install the package with its data files.")
     hits = _word_hits(library, names)
+    appearance = _chosen(appearance)
     score = _log_prior(library)
     looks = [_appearance_log_odds(material, appearance) for material in library]
     for i, material in enumerate(library):
@@ -91,24 +97,41 @@ def rank(library: Sequence[LibraryMaterial], appearance: Appearance, names: Sequ
 
 
 def _log_prior(library: Sequence[LibraryMaterial]) -> NDArray[np.float64]:
-    categories = [material.category for material in library]
-    return np.array([-math.log(len(set(categories)) * categories.count(c)) for c in categories])
+    """Within a category the k-th entry weighs 1/√k: a plain metal before a knurled one. Not normalised."""
+    places: dict[str, int] = {}
+    weights = []
+    for material in library:
+        places[material.category] = places.get(material.category, 0) + 1
+        weights.append(1.0 / math.sqrt(places[material.category]))
+    totals = {c: sum(w for m, w in zip(library, weights, strict=True) if m.category == c) for c in places}
+    return np.array(
+        [
+            math.log(COMMON.get(material.category, 1.0) * weight / totals[material.category])
+            for material, weight in zip(library, weights, strict=True)
+        ]
+    )
 
 
 def _vocabulary(library: Sequence[LibraryMaterial]) -> dict[str, dict[str, float]]:
     """word (phrases joined by spaces, and run together) → {material name: weight}."""
     owned = {form for material in library for word in material.words for form in _forms(word)}
+    stuffs = {form for words in CATEGORY_WORDS.values() for word in words.split() for form in _forms(word)}
     vocabulary: dict[str, dict[str, float]] = {}
     for material in library:
-        related = set().union(*(_forms(word) for word in CATEGORY_WORDS.get(material.category, "").split()))
-        weighted = {form: RELATED_WEIGHT if form in owned else 1.0 for form in related}
-        parts = [form for word in material.name.split("-") for form in _forms(word)]
-        things = [thing for thing, made_of in OBJECT_WORDS.items() if made_of == material.category]
-        for forms, weight in ((parts, NAME_PART_WEIGHT), (things, OBJECT_WORD_WEIGHT)):
-            for form in forms:
-                weighted[form] = max(weighted.get(form, 0.0), weight)
-        for word in (material.category, material.name, *material.words):
-            weighted.update(dict.fromkeys(_forms(word), 1.0))
+        weighted: dict[str, float] = {}
+
+        def add(words: Iterable[str], weight: float, into: dict[str, float] = weighted) -> None:
+            for form in (form for word in words for form in _forms(word)):
+                into[form] = max(into.get(form, 0.0), weight)
+
+        related = CATEGORY_WORDS.get(material.category, "").split()
+        add((word for word in related if word not in owned), 1.0)
+        add(related, RELATED_WEIGHT)
+        add((thing for thing, made_of in OBJECT_WORDS.items() if material.category in made_of), OBJECT_WORD_WEIGHT)
+        add(material.name.split("-"), NAME_PART_WEIGHT)
+        add(material.words, OBJECT_WORD_WEIGHT)
+        add((word for word in material.words if _forms(word) & stuffs), 1.0)
+        add((material.category, material.name), 1.0)
         for form, weight in weighted.items():
             vocabulary.setdefault(form, {})[material.name] = weight
     return vocabulary
@@ -150,6 +173,16 @@ def _matches(name: str, vocabulary: Mapping[str, object]) -> list[str]:
                     found.append(phrase)
                     break
     return found
+
+
+def _chosen(appearance: Appearance) -> Appearance:
+    """Less the base colour and roughness that every new material is born with: nobody chose them."""
+    color, roughness = appearance.base_color, appearance.roughness
+    if color is not None and all(abs(channel - DEFAULT_GREY) < 1e-3 for channel in color):
+        color = None
+    if roughness is not None and abs(roughness - DEFAULT_ROUGHNESS) < 1e-3:
+        roughness = None
+    return replace(appearance, base_color=color, roughness=roughness)
 
 
 def _appearance_log_odds(material: LibraryMaterial, appearance: Appearance) -> dict[str, float]:
@@ -197,8 +230,9 @@ def _reason(
 ) -> str:
     """The words found, then the values that fit better than they fit half of the library, and those that clash."""
     parts = [f"'{word}' in '{name}'" for word, (_, name) in sorted(hits.items(), key=lambda item: -item[1][0])]
+    del parts[REASON_WORDS:]
     for verdict, chosen in (
-        ("fits", [field for field, odds in looks.items() if odds - usual[field] > 0.2]),
+        ("fits", [field for field, odds in looks.items() if odds > max(usual[field] + 0.2, 0.0)]),
         ("does not fit", [field for field, odds in looks.items() if odds < -0.7]),
     ):
         parts += [f"{_value_text(field, appearance)} {verdict}" for field in chosen]
