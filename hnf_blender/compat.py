@@ -80,3 +80,14 @@ def has_denoiser() -> bool:
     except ImportError:
         return False
     return bool(getattr(cycles, "with_openimagedenoise", False))
+
+
+def fcurves_of_slot(action: Any, strip: Any) -> list[Any]:
+    """The F-curves of the action that an NLA strip plays."""
+    slot = getattr(strip, "action_slot", None)
+    if not hasattr(strip, "action_slot") or (version() < (5, 0, 0) and not getattr(action, "is_action_layered", False)):
+        return list(action.fcurves)
+    if slot is None:
+        return []
+    bag = _channelbag(action, slot)
+    return [] if bag is None else list(bag.fcurves)

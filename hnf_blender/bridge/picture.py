@@ -84,7 +84,9 @@ def render_overview(
 def visible_faces(view: RgbdView, surface: Surface, caster: RayCaster) -> NDArray[np.int32]:
     """(H, W) evaluated polygon of surface that each pixel of view shows, -1 where it shows something else."""
     cast = cast_view(caster, surface.mesh, in_surface_frame(view.camera, surface))
-    same = np.isfinite(cast.depth) & (np.abs(cast.depth - view.depth) <= SAME_DEPTH * np.abs(cast.depth))
+    seen = np.isfinite(cast.depth) & np.isfinite(view.depth)
+    ours, theirs = np.where(seen, cast.depth, 0.0), np.where(seen, view.depth, 0.0)
+    same = seen & (np.abs(ours - theirs) <= SAME_DEPTH * ours)
     return np.where(same, cast.face_id, -1).astype(np.int32)
 
 

@@ -74,7 +74,7 @@ def aim(scene: Any, camera_object: Any, camera: Camera, rigid: ArrayLike, metres
     from mathutils import Matrix
 
     focal_x, focal_y = camera.intrinsics[0, 0], camera.intrinsics[1, 1]
-    if abs(focal_x - focal_y) > 1e-9 * focal_x:
+    if abs(focal_x - focal_y) > 1e-6 * focal_x:
         raise SceneError("its pixels are not square.", where="camera", remedy="Render with pixel aspect 1.")
     pose = np.asarray(rigid, dtype=np.float64) @ camera.pose @ np.diag([1.0, -1.0, -1.0, 1.0])
     pose[:3, 3] /= metres_per_unit

@@ -62,7 +62,8 @@ class Temporary:
 
     def link(self, obj: Any) -> Any:
         """Put obj into the temporary scene and return it."""
-        self.scene.collection.objects.link(obj)
+        if self.scene not in obj.users_scene:
+            self.scene.collection.objects.link(obj)
         return obj
 
     def copy_object(self, obj: Any, *, with_data: bool = False) -> Any:
