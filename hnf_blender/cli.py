@@ -24,6 +24,12 @@ def run_touch(arguments: argparse.Namespace) -> int:
             "touch needs Blender, and this Python has no bpy.",
             remedy="Install it (pip install bpy==5.0.1, Python 3.11), or run: blender -b --command hnf touch …",
         )
+    import bpy
+
+    if not hasattr(bpy.types.Object, "hnf_stroke"):  # at a shell no add-on is switched on
+        from . import props
+
+        props.register()
     from .touch.run import run
 
     return run(request)
