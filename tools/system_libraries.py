@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib.util
+import os
 import shutil
 import sys
 from pathlib import Path
@@ -48,10 +49,11 @@ def is_present(package: str) -> bool:
 
 def install_command(missing: list[str]) -> str:
     """One command for this machine's package manager that installs the `missing` Debian packages or their like."""
+    sudo = "" if os.geteuid() == 0 else "sudo "
     if shutil.which("apt-get") or not shutil.which("dnf"):
-        return "sudo apt-get update && sudo apt-get install -y " + " ".join(missing)
+        return f"{sudo}apt-get update && {sudo}apt-get install -y " + " ".join(missing)
     provides = [f"'{SONAMES[name]}()(64bit)'" if name in SONAMES else "python3-pip" for name in missing]
-    return "sudo dnf install -y " + " ".join(provides)
+    return f"{sudo}dnf install -y " + " ".join(provides)
 
 
 def main() -> int:

@@ -111,6 +111,7 @@ def test_a_missing_library_gives_one_command(
     monkeypatch.setattr(
         system_libraries.shutil, "which", lambda name: "/usr/bin/apt-get" if name == "apt-get" else None
     )
+    monkeypatch.setattr(system_libraries.os, "geteuid", lambda: 1000)
     assert system_libraries.main() == 1
     said = capsys.readouterr().err
     assert "sudo apt-get update && sudo apt-get install -y libsm6\n" in said
