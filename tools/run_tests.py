@@ -1,6 +1,7 @@
 """Run every check in its environment, two at a time, and end with one merged summary in pytest's own form.
 
-    .venv/bin/python tools/run_tests.py             lint, types, core, and tests/blender on bpy 5.0, 4.5 and 4.2
+    .venv/bin/python tools/run_tests.py             lint, types, core on numpy 1.26 and 1.24, and tests/blender
+                                                    on bpy 5.0, 4.5 and 4.2
     .venv/bin/python tools/run_tests.py app         the real, windowed Blender
     .venv/bin/python tools/run_tests.py core types  some of them by name
 
@@ -49,6 +50,7 @@ CHECKS = (
     Check("blender-4.5", ".venv-4.5", ("tests/blender",), 1200),
     Check("blender-4.2", ".venv-4.2", ("tests/blender",), 1200),
     Check("core", ".venv", ("tests/core",), 900),
+    Check("core-numpy-1.24", ".venv-4.2", ("tests/core",), 900),
     Check("types", ".venv", ("-m", "mypy"), 600, is_pytest=False),
     Check("lint", ".venv", ("-m", "ruff", "check", "."), 120, is_pytest=False),
 )
