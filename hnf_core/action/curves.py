@@ -75,23 +75,33 @@ class ArcCurve:
             speed = np.linalg.norm(derivative, axis=1)
         return np.asarray(derivative / np.where(speed > 0.0, speed, 1.0)[:, None])
 
+    def parameter_at(self, s: ArrayLike) -> tuple[Int, Float]:
+        """Segment number and its parameter u (n,) at arc lengths s (n,): the same place on any affine image."""
+        segment, u, _ = self._parameter(s)
+        return segment, u
+
     def _parameter(self, s: ArrayLike) -> tuple[Int, Float, Int]:
         """Segment, parameter and panel of arc lengths: Newton on the panel's own quadrature, kept in a bracket."""
         target = np.clip(np.atleast_1d(np.asarray(s, dtype=np.float64)), 0.0, self.length)
         panel = np.clip(np.searchsorted(self.station, target, side="right") - 1, 0, len(self.segment) - 1)
-        segment, low, high = self.segment[panel], self.start[panel], self.end[panel]
-        base = low
+        segment, base = self.segment[panel], self.start[panel]
+        low, high = base.copy(), self.end[panel].copy()
         rest = target - self.station[panel]
         span = self.station[panel + 1] - self.station[panel]
         u = low + (high - low) * np.divide(rest, span, out=np.zeros_like(rest), where=span > 0.0)
+        todo = np.arange(len(u))
         for _ in range(60):
-            error = _arc_lengths(self.curve, segment, base, u) - rest
-            if np.all(np.abs(error) <= 1e-13 * self.station[-1]):
+            at = u[todo]
+            error = _arc_lengths(self.curve, segment[todo], base[todo], at) - rest[todo]
+            open_ = np.abs(error) > 1e-12 * self.station[-1]
+            todo, at, error = todo[open_], at[open_], error[open_]
+            if len(todo) == 0:
                 break
-            low, high = np.where(error < 0.0, u, low), np.where(error > 0.0, u, high)
-            speed = np.linalg.norm(self.curve.evaluate(segment, u)[1], axis=1)
-            step = u - np.divide(error, speed, out=np.full_like(u, np.inf), where=speed > 0.0)
-            u = np.where((step > low) & (step < high), step, (low + high) / 2.0)
+            low[todo], high[todo] = np.where(error < 0.0, at, low[todo]), np.where(error > 0.0, at, high[todo])
+            speed = np.linalg.norm(self.curve.evaluate(segment[todo], at)[1], axis=1)
+            step = at - np.divide(error, speed, out=np.full_like(at, np.inf), where=speed > 0.0)
+            inside = (step > low[todo]) & (step < high[todo])
+            u[todo] = np.where(inside, step, (low[todo] + high[todo]) / 2.0)
         return segment, u, panel
 
 

@@ -48,6 +48,7 @@ def _bezier(start: Float, right: Float, left: Float, end: Float, share: Float) -
     """Values of cubic Bézier pieces at a share (n,) of their time; handles (n, 2) that reach past the piece are
     shortened to it, as Blender does, so that time never runs backward."""
     width = (end - start)[:, :1]
+    width = np.where(width > 0.0, width, 1.0)  # two keys on one frame: the later one counts
     first, second = right - start, left - end
     first = first * _shortening(first[:, :1], width)
     second = second * _shortening(second[:, :1], width)

@@ -45,12 +45,12 @@ def time_grid(duration_s: float, rate: float, *, where: str = "") -> Float:
     return np.arange(int(np.ceil(duration_s * rate - 1e-6)) + 1) / rate
 
 
-def checked_force(force: ArrayLike, frames: ArrayLike, *, where: str) -> Float:
-    """Normal force (n,) N clamped to ≥ 0, since F-curve handles overshoot.
+def checked_force(force: ArrayLike, frames: ArrayLike, *, where: str, most: float = np.inf) -> Float:
+    """Normal force (n,) N clamped to 0 … most, since F-curve handles overshoot.
 
     Raises StrokeError naming the stroke and the first frame whose value is not finite.
     """
-    return np.maximum(_finite(force, frames, "force", where), 0.0)
+    return np.clip(_finite(force, frames, "force", where), 0.0, most)
 
 
 def checked_progress(progress: ArrayLike, frames: ArrayLike, *, where: str) -> Float:

@@ -1,0 +1,151 @@
+"""Force and progress of a stroke over time: keyed, driven, or simply set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.action.fcurve import BEZIER, CONSTANT, LINEAR, FCurve
+from hnf_core.errors import StrokeError
+
+from .. import compat
+from .temporary import Temporary
+from .undisturbed import undisturbed
+
+Float = NDArray[np.float64]
+
+EXACT = {CONSTANT, LINEAR, BEZIER}
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One property of a stroke. name: "force" or "progress". source: "set" (no animation), "keyed" (an F-curve
+    alone) or "driven" (drivers or NLA: only Blender's own evaluation knows). last_frame: of what animates it."""
+
+    name: str
+    source: str
+    last_frame: float
+
+
+def read_channel(obj: Any, name: str, scene: Any) -> Channel:
+    """How a property of obj.hnf_stroke gets its value. Raises StrokeError for a driver that cannot be evaluated
+    apart from its scene, and for keyframes that are not numbers, naming the frame."""
+    path = f"hnf_stroke.{name}"
+    animation = obj.animation_data
+    fcurve = _fcurve(obj, path)
+    if animation is None:
+        return Channel(name, "set", -np.inf)
+    driver = next((curve for curve in animation.drivers if curve.data_path == path and not curve.mute), None)
+    if driver is not None:
+        _check_driver(driver, f"stroke '{obj.name}'", name)
+        # A driver has no end of its own; only one of progress says how long the hand moves.
+        return Channel(name, "driven", float(scene.frame_end) if name == "progress" else -np.inf)
+    strips = [strip for strip in _strips(animation) if _animates(strip, path)]
+    blended = fcurve is not None and (animation.action_influence < 1.0 or animation.action_blend_type != "REPLACE")
+    if strips or blended:
+        ends = [float(strip.frame_end) for strip in strips]
+        return Channel(name, "driven", max([*ends, *([] if fcurve is None else [float(fcurve.range()[1])])]))
+    if fcurve is None:
+        return Channel(name, "set", -np.inf)
+    keys = _read(fcurve, "co")
+    broken = np.flatnonzero(~np.isfinite(keys).all(axis=1))
+    if len(broken):
+        at = keys[broken[0], 0]
+        place = f"at frame {at:g}" if np.isfinite(at) else f"(number {broken[0] + 1})"
+        raise StrokeError(
+            f"the {name} keyframe {place} is not a number.",
+            where=f"stroke '{obj.name}'",
+            remedy="Delete or correct it in the Graph Editor.",
+        )
+    return Channel(name, "keyed", float(fcurve.range()[1]))
+
+
+def sample_channels(obj: Any, scene: Any, channels: tuple[Channel, ...], frames: Float) -> tuple[Float, ...]:
+    """Values (n,) of each channel at (fractional) frames (n,), as Blender gives them, not yet clamped."""
+    values: list[Float] = []
+    driven = [channel.name for channel in channels if channel.source == "driven"]
+    evaluated = _evaluate(obj, scene, driven, frames) if driven else {}
+    for channel in channels:
+        if channel.source == "driven":
+            values.append(evaluated[channel.name])
+        elif channel.source == "keyed":
+            values.append(_sample_fcurve(_fcurve(obj, f"hnf_stroke.{channel.name}"), frames))
+        else:
+            values.append(np.full(len(frames), float(getattr(obj.hnf_stroke, channel.name))))
+    return tuple(values)
+
+
+def _sample_fcurve(fcurve: Any, frames: Float) -> Float:
+    interpolation = tuple(key.interpolation for key in fcurve.keyframe_points)
+    plain = not any(not modifier.mute for modifier in fcurve.modifiers) and fcurve.extrapolation == "CONSTANT"
+    if plain and EXACT.issuperset(interpolation[:-1]) and interpolation:
+        key, left, right = (_read(fcurve, name) for name in ("co", "handle_left", "handle_right"))
+        return FCurve(key, left, right, interpolation).evaluate(frames)
+    return np.array([fcurve.evaluate(float(frame)) for frame in frames])
+
+
+def _evaluate(obj: Any, scene: Any, names: list[str], frames: Float) -> dict[str, Float]:
+    """Through the depsgraph of a temporary scene that holds this object alone."""
+    values = {name: np.empty(len(frames)) for name in names}
+    with undisturbed(scene, obj), Temporary() as temporary:
+        temporary.link(obj)
+        for i, frame in enumerate(frames):
+            depsgraph = temporary.evaluate(float(frame))
+            group = obj.evaluated_get(depsgraph).hnf_stroke
+            for name in names:
+                values[name][i] = getattr(group, name)
+    return values
+
+
+def _check_driver(fcurve: Any, where: str, name: str) -> None:
+    if not (fcurve.is_valid and fcurve.driver.is_valid):
+        raise StrokeError(
+            f"the driver of its {name} does not work.", where=where, remedy="Repair or remove the driver."
+        )
+    for variable in fcurve.driver.variables:
+        for target in variable.targets:
+            if variable.type == "CONTEXT_PROP" or (variable.type == "SINGLE_PROP" and target.id_type == "SCENE"):
+                raise StrokeError(
+                    f"the driver of its {name} reads the scene through variable '{variable.name}', and a stroke is "
+                    "evaluated apart from its scene.",
+                    where=where,
+                    remedy="Write 'frame' in the expression instead, or bake it to keyframes (Key > Bake Channels).",
+                )
+
+
+def _strips(animation: Any) -> list[Any]:
+    if not animation.use_nla:
+        return []
+    tracks = [track for track in animation.nla_tracks if not track.mute]
+    if any(track.is_solo for track in tracks):
+        tracks = [track for track in tracks if track.is_solo]
+    return [strip for track in tracks for strip in track.strips if not strip.mute]
+
+
+def _animates(strip: Any, path: str) -> bool:
+    if strip.type != "CLIP":
+        return True
+    return strip.action is not None and any(
+        fcurve.data_path == path for fcurve in compat.fcurves_of_slot(strip.action, strip)
+    )
+
+
+def _fcurve(obj: Any, path: str) -> Any:
+    """The F-curve that animates a property, or None."""
+    return next(
+        (
+            fcurve
+            for fcurve in compat.fcurves_of(obj)
+            if fcurve.data_path == path and not fcurve.mute and not fcurve.is_empty
+        ),
+        None,
+    )
+
+
+def _read(fcurve: Any, name: str) -> Float:
+    values = np.empty(len(fcurve.keyframe_points) * 2, dtype=np.float32)
+    fcurve.keyframe_points.foreach_get(name, values)
+    return values.reshape(-1, 2).astype(np.float64)

@@ -1,0 +1,243 @@
+"""Stroke objects of a scene → samples of a touch in the surface frame, at the action rate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.action.action import ACTION_RATE_HZ
+from hnf_core.action.bezier import PiecewiseBezier
+from hnf_core.action.contacts import StrokeSamples
+from hnf_core.action.curves import ArcCurve, by_arc_length
+from hnf_core.action.deforming import DeformingMesh
+from hnf_core.action.time_law import (
+    Motion,
+    checked_force,
+    checked_progress,
+    motion_at_speed,
+    motion_from_progress,
+    speed_for_duration,
+    time_grid,
+    travel_time,
+)
+from hnf_core.errors import SceneError, StrokeError
+from hnf_core.files import content_hash
+from hnf_core.scene.mesh import TriangleMesh
+from hnf_core.units import mm_to_m, seconds_to_frame
+
+from ..props.stroke import FORCE_MAX_N
+from .channels import Channel, read_channel, sample_channels
+from .meshes import Surface, surface_frame, surface_mesh
+from .nearest_surface import nearest_surface
+from .over_time import is_moving, may_deform, shape_over_time, world_matrices
+from .splines import read_curve
+
+Float = NDArray[np.float64]
+Surfaces = Callable[[Any], Surface]
+
+STILL = 2e-7
+"""Blender's matrices are float32: a relative motion below this share of the coordinates is rounding."""
+
+
+@dataclass(frozen=True)
+class SceneStroke:
+    """One stroke, ready to touch.
+
+    name: of the curve object. object_name: of the surface. samples: in the surface frame (m). deforming: the
+    surface's shapes while it is touched, None where it keeps its shape. frames: (n,) scene frame of each sample.
+    length_m: of the curve. law: what moved the hand. seed, probe: as set. material: library material that overrides
+    the surface's, "" = none. notes: what a person should know.
+    """
+
+    name: str
+    object_name: str
+    samples: StrokeSamples
+    deforming: DeformingMesh | None
+    frames: Float
+    length_m: float
+    law: str
+    seed: int
+    probe: str
+    material: str
+    notes: tuple[str, ...] = ()
+
+    def surface(self, mesh: TriangleMesh) -> TriangleMesh | DeformingMesh:
+        """What find_contacts takes: the deforming shapes, or the mesh (of surface_mesh) as it is."""
+        return mesh if self.deforming is None else self.deforming
+
+
+def stroke_objects(scene: Any) -> list[Any]:
+    """The scene's strokes that are not muted, by name."""
+    strokes = [obj for obj in scene.objects if obj.hnf_stroke.is_stroke and not obj.hnf_stroke.mute]
+    return sorted(strokes, key=lambda obj: str(obj.name))
+
+
+def read_stroke(
+    obj: Any,
+    scene: Any,
+    depsgraph: Any,
+    metres_per_unit: float,
+    *,
+    surfaces: Surfaces | None = None,
+    rate: float = ACTION_RATE_HZ,
+) -> SceneStroke:
+    """Sample a stroke object at rate [Hz].
+
+    surfaces: object → Surface, for a caller that keeps them. Raises StrokeError naming the stroke (curve, keyframes,
+    time) and SceneError naming the surface (hidden, nothing to touch, simulated).
+    """
+    group = obj.hnf_stroke
+    where = f"stroke '{obj.name}'"
+    surfaces = surfaces or (lambda touched: surface_mesh(touched, depsgraph, metres_per_unit))
+    curve = read_curve(obj)
+    target = _surface_object(obj, scene, depsgraph, curve, surfaces, metres_per_unit, where)
+    surface = surfaces(target)
+    fps, base = float(scene.render.fps), float(scene.render.fps_base)
+    start = float(group.start)
+
+    moving = is_moving(obj) or is_moving(target)
+    place = _placements(obj, target, scene, depsgraph, np.array([start]), metres_per_unit, moving)[0]
+    arc = by_arc_length(curve.transformed(place))
+    force_channel, progress_channel = (read_channel(obj, name, scene) for name in ("force", "progress"))
+    law, duration = _law(group, arc.length, (force_channel, progress_channel), start, base / fps, where)
+    time = time_grid(duration, rate, where=where)
+    frames = np.array([seconds_to_frame(float(t), start, fps, base) for t in time])
+    force, progress = sample_channels(obj, scene, (force_channel, progress_channel), frames)
+    force = checked_force(force, frames, where=where, most=FORCE_MAX_N)
+    motion = _motion(group, law, checked_progress(progress, frames, where=where), time, arc.length, rate)
+    placements = _placements(obj, target, scene, depsgraph, frames, metres_per_unit, moving) if moving else None
+    samples = _samples(curve, arc, placements, time, motion, force)
+    deforming = None
+    if may_deform(target):
+        whole = np.arange(np.floor(frames[0]), np.ceil(frames[-1]) + 1.0)
+        seconds = (whole - start) * base / fps
+        deforming = shape_over_time(target, scene, surface.mesh, whole, seconds, metres_per_unit)
+    notes: tuple[str, ...] = ()
+    if law == "PROGRESS" and group.law != "PROGRESS":
+        notes = (f"{where}: progress is keyed, so its {group.law.lower()} law is not used.",)
+    return SceneStroke(
+        name=obj.name,
+        object_name=target.name,
+        samples=samples,
+        deforming=deforming,
+        frames=frames,
+        length_m=arc.length,
+        law=law,
+        seed=int(group.seed),
+        probe=str(group.probe),
+        material=str(group.material),
+        notes=notes,
+    )
+
+
+def stroke_hash(stroke: SceneStroke) -> str:
+    """Hash of everything of a stroke that shapes its signal, apart from the surface's own shape and materials."""
+    samples = stroke.samples
+    arrays = [samples.time, samples.point, samples.tangent, samples.position, samples.velocity, samples.force]
+    parts = [np.ascontiguousarray(array).tobytes() for array in arrays]
+    if stroke.deforming is not None:
+        parts += [np.ascontiguousarray(stroke.deforming.vertices).tobytes(), stroke.deforming.time.tobytes()]
+    facts = (stroke.object_name, str(stroke.seed), stroke.probe, stroke.material, str(samples.moving))
+    return content_hash(*facts, *parts)
+
+
+def _surface_object(
+    obj: Any,
+    scene: Any,
+    depsgraph: Any,
+    curve: PiecewiseBezier,
+    surfaces: Surfaces,
+    metres_per_unit: float,
+    where: str,
+) -> Any:
+    chosen = obj.hnf_stroke.surface
+    if chosen is None:
+        world = np.array(obj.evaluated_get(depsgraph).matrix_world, dtype=np.float64)
+        arc = by_arc_length(curve.transformed(world))
+        points = arc.point_at(np.linspace(0.0, arc.length, 64))
+        return nearest_surface(points, scene, depsgraph, surfaces, metres_per_unit, where=where, ignore=obj)
+    remedy = f"Show it in the viewport and in renders, or choose another surface for {where}."
+    if scene.objects.get(chosen.name) != chosen:
+        raise SceneError(
+            f"it is not in this scene, and {where} touches it.", where=f"object '{chosen.name}'", remedy=remedy
+        )
+    if chosen.hide_render or not chosen.visible_get(view_layer=depsgraph.view_layer):
+        raise SceneError(f"it is hidden, and {where} touches it.", where=f"object '{chosen.name}'", remedy=remedy)
+    return chosen
+
+
+def _placements(
+    obj: Any, target: Any, scene: Any, depsgraph: Any, frames: Float, metres_per_unit: float, moving: bool
+) -> Float:
+    """(n, 4, 4) surface frame (m) ← curve object coordinates, at frames (n,); (1, 4, 4) as it is now if nothing
+    moves."""
+    if moving:
+        curve_world, target_world = world_matrices(scene, (obj, target), frames)
+    else:
+        curve_world, target_world = (
+            np.array(one.evaluated_get(depsgraph).matrix_world, dtype=np.float64)[None] for one in (obj, target)
+        )
+    placements = np.empty_like(curve_world)
+    for i, (curve, surface) in enumerate(zip(curve_world, target_world, strict=True)):
+        rigid, _ = surface_frame(surface, metres_per_unit, f"object '{target.name}'")
+        metres = curve.copy()
+        metres[:3] *= metres_per_unit
+        turned = rigid[:3, :3].T
+        placements[i] = np.eye(4)
+        placements[i, :3, :3] = turned @ metres[:3, :3]
+        placements[i, :3, 3] = turned @ (metres[:3, 3] - rigid[:3, 3])
+    return np.asarray(placements)
+
+
+def _law(
+    group: Any, length_m: float, channels: tuple[Channel, Channel], start: float, frame_s: float, where: str
+) -> tuple[str, float]:
+    """Which law moves the hand, and how long the stroke lasts [s], from its start to the last thing keyed."""
+    force, progress = channels
+    keyed_until = (max(force.last_frame, progress.last_frame) - start) * frame_s
+    if progress.source != "set":
+        return "PROGRESS", keyed_until
+    if group.law == "DURATION":
+        return "DURATION", max(float(group.duration_s), keyed_until)
+    if group.law == "SPEED" and length_m > 0.0:
+        return "SPEED", max(travel_time(length_m, mm_to_m(float(group.speed_mm_s))), keyed_until)
+    if force.source != "set":
+        return group.law, keyed_until
+    what = "its progress has no keyframes." if length_m > 0.0 else "it has no length, and its force has no keyframes."
+    raise StrokeError(
+        what, where=where, remedy="Key progress or force at two frames, or choose the speed or duration law."
+    )
+
+
+def _motion(group: Any, law: str, progress: Float, time: Float, length_m: float, rate: float) -> Motion:
+    if law == "PROGRESS":
+        return motion_from_progress(progress, length_m, rate)
+    if law == "SPEED":
+        return motion_at_speed(time, length_m, mm_to_m(float(group.speed_mm_s)))
+    return motion_at_speed(time, length_m, speed_for_duration(length_m, float(group.duration_s)))
+
+
+def _samples(
+    curve: PiecewiseBezier, arc: ArcCurve, placements: Float | None, time: Float, motion: Motion, force: Float
+) -> StrokeSamples:
+    point, tangent = arc.point_at(motion.position), arc.tangent_at(motion.position)
+    moving = placements is not None and _really_moves(placements)
+    if placements is not None and moving:
+        first = placements[0]
+        # arc lies where the curve was at the first sample: carry its points by what the placement did since.
+        local = curve.evaluate(*arc.parameter_at(motion.position))[0]
+        point = np.einsum("nxy,ny->nx", placements[:, :3, :3], local) + placements[:, :3, 3]
+        since = np.einsum("nxy,yz->nxz", placements[:, :3, :3], np.linalg.pinv(first[:3, :3]))
+        tangent = np.einsum("nxy,ny->nx", since, tangent)
+        size = np.linalg.norm(tangent, axis=1, keepdims=True)
+        tangent = tangent / np.where(size > 0.0, size, 1.0)
+    return StrokeSamples(time, point, tangent, motion.position, motion.velocity, force, moving)
+
+
+def _really_moves(placements: Float) -> bool:
+    change = np.abs(placements - placements[0]).max()
+    return bool(change > STILL * max(1.0, float(np.abs(placements).max())))
