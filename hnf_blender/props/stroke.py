@@ -3,8 +3,6 @@ the Graph Editor is the force editor."""
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
-from typing import Any
-
 import bpy
 
 from hnf_core.material.mechanics import PROBES
@@ -16,10 +14,6 @@ LAWS = (
     ("SPEED", "Speed", "From end to end at a constant speed, unless progress is keyed"),
     ("DURATION", "Duration", "From end to end in a given time, unless progress is keyed"),
 )
-
-
-def _can_be_touched(_group: Any, candidate: Any) -> bool:
-    return candidate.type in {"MESH", "SURFACE", "META", "FONT", "CURVE"}
 
 
 class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no types
@@ -63,11 +57,11 @@ class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no ty
         items=[(name, name.capitalize(), f"Touch with the {name}") for name in PROBES],
         default="pen",
     )
+    # No poll: a Python callback in a property hangs bpy 4.5 and crashes 4.2 when the process ends.
     surface: bpy.props.PointerProperty(
         name="Surface",
         description="Object that is touched; empty: the nearest visible mesh",
         type=bpy.types.Object,
-        poll=_can_be_touched,
     )
     material: bpy.props.StringProperty(
         name="Material", description="Library material to use whatever the surface looks like; empty: as baked"
