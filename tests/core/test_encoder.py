@@ -25,13 +25,24 @@ def bands_of(values: np.ndarray) -> np.ndarray:
     return values[: len(BAND_WAVELENGTHS_M) * len(BAND_FEATURES)].reshape(len(BAND_WAVELENGTHS_M), -1)[FIRST:]
 
 
-def settled(values: np.ndarray) -> np.ndarray:
-    """A token less the places of peaks that hold under half of their band: another may tie, and which wins is chance."""
-    values = values.astype(float)
-    for band in range(len(BAND_WAVELENGTHS_M)):
-        if values[band_slice(band)][5] < 0.5:
-            values[band_slice(band)][6] = 0.0
-    return values
+def assert_same_token(got: np.ndarray, expected: np.ndarray, atol: float = 5e-3, bands: slice = slice(None)) -> None:
+    """Equal within atol; but of noise, which has no wave to name, the peak within 0.15 and its place not at all:
+    which of two like bins leads is chance."""
+    a, b = bands_of(got)[bands], bands_of(expected)[bands]
+    np.testing.assert_allclose(a[:, :5], b[:, :5], atol=atol)
+    real = (a[:, 5] > 0.9) & (b[:, 5] > 0.9)
+    np.testing.assert_allclose(a[real, 5:], b[real, 5:], atol=4 * atol)
+    np.testing.assert_allclose(a[:, 5], b[:, 5], atol=0.15)
+    np.testing.assert_allclose(got[-2:], expected[-2:], atol=atol)
+
+
+QUARTER_TURN = np.array([1, -1, -1, 1, 1, 1, 1])
+MIRROR = np.array([1, 1, -1, 1, -1, 1, 1])
+
+
+def with_bands(values: np.ndarray, factors: np.ndarray) -> np.ndarray:
+    """A token whose band features are multiplied by (7,) factors."""
+    return values * np.concatenate([np.tile(factors, len(BAND_WAVELENGTHS_M)), [1, 1]])
 
 
 def tactile(height: np.ndarray, sensor: str = "gelsight", mask: np.ndarray | None = None) -> TactileMap:
@@ -59,47 +70,57 @@ surfaces = st.builds(
 def test_gelsight_and_digit_give_one_token(height):
     a, b = (describe(tactile(height, sensor)) for sensor in ("gelsight", "digit"))
     assert np.array_equal(a.known, b.known)
-    np.testing.assert_allclose(settled(a.values), settled(b.values), atol=5e-3)
+    assert_same_token(a.values, b.values)
 
 
 @settings(max_examples=12, deadline=None)
 @given(surfaces)
 def test_twice_the_height_raises_every_level_by_log_two_and_nothing_else(height):
-    once, twice = (settled(describe(tactile(gain * height)).values) for gain in (1.0, 2.0))
+    once, twice = (describe(tactile(gain * height)).values for gain in (1.0, 2.0))
     # A few nanometres fade into the floor; this is the law of what stands clear of it.
-    clear = bands_of(once)[:, 0] > SMOOTH_LEVEL + 1.5
-    assert clear[:3].all()
-    difference = bands_of(twice - once)[clear]
-    np.testing.assert_allclose(difference[:, 0], np.log10(2), atol=1e-3)
-    np.testing.assert_allclose(difference[:, 1:], 0.0, atol=5e-3)
-    np.testing.assert_allclose(twice[-2:], once[-2:], atol=5e-3)
+    clear = int((bands_of(once)[:, 0] > SMOOTH_LEVEL + 1.5).sum())
+    assert clear >= 3
+    raised = once.copy()
+    raised[:-2].reshape(len(BAND_WAVELENGTHS_M), -1)[FIRST:, 0] += np.log10(2)
+    assert_same_token(twice, raised, bands=slice(0, clear))
 
 
 @settings(max_examples=12, deadline=None)
 @given(surfaces)
 def test_a_quarter_turn_turns_the_anisotropy_and_nothing_else(height):
-    plain, turned = (bands_of(settled(describe(tactile(h)).values)) for h in (height, np.rot90(height)))
-    sign = np.array([1, -1, -1, 1, 1, 1, 1])
-    np.testing.assert_allclose(turned, plain * sign, atol=5e-3)
+    plain, turned = (describe(tactile(h)).values for h in (height, np.rot90(height)))
+    assert_same_token(turned, with_bands(plain, QUARTER_TURN))
 
 
 @settings(max_examples=8, deadline=None)
 @given(surfaces)
 def test_mirroring_and_pressing_the_negative_do_what_they_must(height):
-    plain = settled(describe(tactile(height)).values)
-    mirrored = bands_of(settled(describe(tactile(height[:, ::-1])).values))
-    np.testing.assert_allclose(mirrored, bands_of(plain) * np.array([1, 1, -1, 1, -1, 1, 1]), atol=5e-3)
-    negative = settled(describe(tactile(-height)).values)
-    np.testing.assert_allclose(bands_of(negative), bands_of(plain), atol=5e-3)
+    plain = describe(tactile(height)).values
+    assert_same_token(describe(tactile(height[:, ::-1])).values, with_bands(plain, MIRROR))
+    negative = describe(tactile(-height)).values
     assert negative[-2] == pytest.approx(-plain[-2], abs=5e-3)
+    negative[-2] = plain[-2]
+    assert_same_token(negative, plain)
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.3e-3, 2.5e-3), st.floats(0, np.pi))
+def test_a_real_wave_in_noise_is_told_alike_by_every_sensor_and_turn(seed, pitch, angle):
+    wave = 2 * np.pi / pitch * (X * np.cos(angle) + Y * np.sin(angle))
+    height = random_height(seed, 2.5, rms=0.2e-6) + 4e-6 * np.sin(wave)
+    band = slice(int(np.argmin(np.abs(np.log(BAND_WAVELENGTHS_M / pitch)))) - FIRST, None)
+    plain = bands_of(describe(tactile(height)).values)[band][0]
+    assert plain[5] > 0.9
+    for other, factors in ((tactile(height, "digit"), np.ones(7)), (tactile(np.rot90(height)), QUARTER_TURN)):
+        np.testing.assert_allclose(bands_of(describe(other).values)[band][0], plain * factors, atol=5e-3)
 
 
 @settings(max_examples=8, deadline=None)
 @given(surfaces, st.floats(-0.2, 0.2), st.floats(-0.2, 0.2), st.floats(-1e-2, 1e-2))
 def test_tilt_lift_and_a_gentle_curve_are_shape_not_texture(height, a, b, c):
-    plain = settled(describe(tactile(height)).values)
-    bent = settled(describe(tactile(height + a * X + b * Y + c + 2.0 * (X**2 - Y**2))).values)
-    np.testing.assert_allclose(bands_of(bent)[1:], bands_of(plain)[1:], atol=2e-2)
+    plain = describe(tactile(height)).values
+    bent = describe(tactile(height + a * X + b * Y + c + 2.0 * (X**2 - Y**2))).values
+    np.testing.assert_allclose(bands_of(bent)[1:, :5], bands_of(plain)[1:, :5], atol=2e-2)
 
 
 @settings(max_examples=25, deadline=None)
@@ -213,9 +234,9 @@ def test_known_bands_do_not_depend_on_what_lies_below_the_cut():
     height = random_height(1, 3.0)
     full = describe(tactile(height)).values
     cut = describe(tactile_map_from_height(height, None, PITCH, 0.3e-3))
-    known = cut.known.copy()
-    known[-2:] = False
-    np.testing.assert_allclose(settled(cut.values)[known], settled(full)[known], atol=0.05)
+    known = bands_of(cut.known)[:, 0]
+    np.testing.assert_allclose(bands_of(cut.values)[known, :5], bands_of(full)[known, :5], atol=0.05)
+    assert known.any()
 
 
 def test_a_partly_covered_patch_is_described_by_what_is_seen():
