@@ -117,8 +117,9 @@ def describe(tactile_map: TactileMap) -> Token:
     """The token of a tactile map.
 
     Bands that the map does not resolve, or of which the patch holds too few periods, are marked unknown and hold the
-    smooth floor. Unseen pixels (mask) do not count. In noise, peak and offset name a chance maximum; offset is exact
-    (1 % of the wavelength and better) where one wave holds the band. Raises UsageError where the image and mask do not fit.
+    smooth floor. Unseen pixels (mask) do not count. In noise, peak and offset name a chance maximum; where one
+    wave holds the band, offset gives its wavelength within 0.1 % (2 % in a band of which the patch holds fewer than
+    four periods). Raises UsageError where the image and mask do not fit.
     """
     image, mask = tactile_map.image, tactile_map.mask
     if image.ndim != 3 or image.shape[2] != 3 or mask.shape != image.shape[:2]:
