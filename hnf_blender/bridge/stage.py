@@ -14,7 +14,7 @@ from hnf_core.errors import SceneError
 
 from .. import compat
 from .appearance import ShaderReading, plain_shading, read_shader
-from .meshes import Surface, evaluated_mesh, materials_of, surface_frame, surface_mesh
+from .meshes import Surface, evaluated_mesh, flush_edits, materials_of, surface_frame, surface_mesh
 from .node_graph import NodeGraph
 from .shader_height import IMAGE, MicroGeometry
 from .taps import Tap, Tapper
@@ -50,6 +50,7 @@ def set_stage(
     """
     original = obj.original
     where = f"object '{original.name}'"
+    flush_edits(original)
     temporary.link(original)
     try:
         depsgraph = temporary.evaluate(_frame_of(original, frame))
@@ -171,6 +172,11 @@ def nodes_of(tree: Any, seen: set[str] | None = None) -> Iterator[Any]:
         yield node
         if getattr(node, "node_tree", None) is not None:
             yield from nodes_of(node.node_tree, seen)
+
+
+def looks_at_world(obj: Any, materials: list[Any]) -> bool:
+    """Do obj's shaders depend on where it stands in the world?"""
+    return _coordinates(obj, materials)[0]
 
 
 def _coordinates(obj: Any, materials: list[Any]) -> tuple[bool, bool, tuple[str, ...]]:
