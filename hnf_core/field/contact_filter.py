@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..material.contact import force_response, height_response
 from ..material.mechanics import PROBES, Mechanics, Probe
 from .carriers import MODEL_RATE_HZ
-from .features import FORCE_FLOOR_N
+from .linear_contact import FORCE_FLOOR_N
 from .modulation import interpolate
 
 Float = NDArray[np.float64]

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..material.mechanics import Mechanics
-from .features import Condition
 from .field import Field, evaluate, steady_amplitude
+from .linear_contact import Condition
 
 Float = NDArray[np.float64]
 

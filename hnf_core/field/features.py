@@ -6,45 +6,36 @@ flag that says whether it is known.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..material.contact import height_response, tip_response, with_defaults
+from ..material.contact import with_defaults
 from ..material.mechanics import PROBES, Mechanics
 from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, TOKEN_DIM
-from .carriers import ARC_PER_OCTAVE, Carriers
-from .linear_texture import cut_band_power
+from .carriers import Carriers
+from .linear_contact import (
+    FORCE_FLOOR_N,
+    SPEED_FLOOR_M_S,
+    Condition,
+    arc_gain,
+    linear_contact,
+    time_band_power,
+)
 
 Float = NDArray[np.float64]
 
-SPEED_FLOOR_M_S = 1e-3
-"""Below it the input stops at the floor and the emission falls linearly, so that v → 0 is defined and silent."""
-FORCE_FLOOR_N = 0.02
 QUIET_M_S2 = 2e-4
 """Amplitude per band below which the linear prediction is not told from silence."""
 TIME_SHARE_DB = -20.0
 """Where the time carriers start beside the arc carriers: geometry belongs to arc length until data say otherwise."""
 PROBE_NAMES = tuple(PROBES)
-
-
-@dataclass(frozen=True)
-class Condition:
-    """States at which the field is evaluated, n of them.
-
-    tokens: (n, TOKEN_DIM). mechanics: one per material; material: (n,) its index at each state. direction: (n, 2).
-    speed, force: (n,). contact: (n,) bool. probe: name.
-    """
-
-    tokens: Float
-    mechanics: tuple[Mechanics, ...]
-    material: NDArray[np.int32]
-    direction: Float
-    speed: Float
-    force: Float
-    contact: NDArray[np.bool_]
-    probe: str
+MECHANICS_AT = TOKEN_DIM
+PROBE_AT = MECHANICS_AT + 6
+DIRECTION_AT = PROBE_AT + len(PROBE_NAMES)
+_ACTION_END = DIRECTION_AT + 4
+_PHYSICS_SCALARS = 3
 
 
 @dataclass(frozen=True)
@@ -58,41 +49,7 @@ class Inputs:
 
 
 def input_size(carriers: Carriers, physics: bool) -> int:
-    return TOKEN_DIM + 6 + len(PROBE_NAMES) + 4 + (carriers.time_count if physics else 0)
-
-
-def arc_gain(wavenumber: Float, speed: Float) -> Float:
-    """Fade of an arc carrier at f = κ v: out below 8 → 4 Hz (no drift) and above 4 → 4.8 kHz (no aliasing).
-
-    wavenumber: (K,) cycles/m; speed: (n,) m/s. Returns (n, K).
-    """
-    frequency = speed[:, None] * wavenumber[None, :]
-    return np.asarray(_smoothstep((frequency - 4.0) / 4.0) * (1.0 - _smoothstep((frequency - 4000.0) / 800.0)))
-
-
-def contact_band_power(height_power: Float, condition: Condition, carriers: Carriers) -> Float:
-    """Height power per arc band [m²] → acceleration power per arc band [(m/s²)²] through tip and contact; (n, Ka)."""
-    kappa = carriers.arc_centres()
-    speed = np.maximum(condition.speed, SPEED_FLOOR_M_S)
-    out = np.zeros((len(speed), len(kappa)))
-    for index, mechanics in enumerate(condition.mechanics):
-        rows = np.flatnonzero((condition.material == index) & condition.contact & (condition.force > 0.0))
-        probe, force = PROBES[condition.probe], np.maximum(condition.force[rows], FORCE_FLOOR_N)[:, None]
-        tip = tip_response(kappa, mechanics, probe, force)
-        gain = np.abs(height_response(kappa * speed[rows, None], mechanics, probe, force))
-        out[rows] = height_power[rows] * np.square(tip * gain * arc_gain(kappa, speed[rows]))
-    return out
-
-
-def time_band_power(arc_power: Float, speed: Float, carriers: Carriers) -> Float:
-    """Power that falls into each time band when arc band k moves at speed v. (n, Ka), (n,) → (n, Kt)."""
-    cumulative = np.concatenate([np.zeros((len(arc_power), 1)), np.cumsum(arc_power, axis=1)], axis=1)
-    edges = carriers.time_edges()[None, :] / (np.maximum(speed, SPEED_FLOOR_M_S)[:, None] * carriers.arc_start_per_m)
-    place = np.clip(ARC_PER_OCTAVE * np.log2(edges), 0.0, arc_power.shape[1])
-    low = np.minimum(place.astype(int), arc_power.shape[1] - 1)
-    rows = np.arange(len(arc_power))[:, None]
-    at_edge = cumulative[rows, low] + (place - low) * (cumulative[rows, low + 1] - cumulative[rows, low])
-    return np.asarray(np.diff(at_edge, axis=1))
+    return _ACTION_END + (carriers.time_count + _PHYSICS_SCALARS if physics else 0)
 
 
 def build_inputs(condition: Condition, carriers: Carriers, physics: bool) -> Inputs:
@@ -100,7 +57,8 @@ def build_inputs(condition: Condition, carriers: Carriers, physics: bool) -> Inp
     speed = np.maximum(condition.speed, SPEED_FLOOR_M_S)
     force = np.maximum(condition.force, FORCE_FLOOR_N)
     moving = np.clip(condition.speed / SPEED_FLOOR_M_S, 0.0, 1.0) * np.clip(condition.force / FORCE_FLOOR_N, 0.0, 1.0)
-    gate = np.where(condition.contact, moving, 0.0)
+    gate = np.repeat(np.where(condition.contact, moving, 0.0)[:, None], carriers.count, axis=1)
+    gate[:, carriers.arc_slice] *= arc_gain(carriers.arc_centres(), speed)
     columns = [
         normalised_tokens(condition.tokens),
         np.array([mechanics_columns(m) for m in condition.mechanics])[condition.material],
@@ -110,18 +68,24 @@ def build_inputs(condition: Condition, carriers: Carriers, physics: bool) -> Inp
         np.log(force)[:, None],
     ]
     prior = np.zeros((len(speed), carriers.count))
-    gates = np.repeat(gate[:, None], carriers.count, axis=1)
-    gates[:, carriers.arc_slice] *= arc_gain(carriers.arc_centres(), speed)
     if physics:
-        arc_power = contact_band_power(
-            cut_band_power(condition.tokens, condition.direction, carriers), condition, carriers
-        )
-        time_power = time_band_power(arc_power, speed, carriers)
-        time_prior = log_amplitude(time_power)
-        columns.append((time_prior + 5.0) / 3.0)
-        prior[:, carriers.time_slice] = log_amplitude(time_power * 10.0 ** (TIME_SHARE_DB / 10.0))
-        prior[:, carriers.arc_slice] = log_amplitude(arc_power)
-    return Inputs(np.concatenate(columns, axis=1), prior, gates)
+        # Without arc carriers the default wavenumbers serve, and the time carriers start with all of the power.
+        grid = carriers if carriers.arc_count else replace(carriers, arc_octaves=Carriers().arc_octaves)
+        share = 10.0 ** (TIME_SHARE_DB / 10.0) if carriers.arc_count else 1.0
+        linear = linear_contact(condition, grid)
+        time_power = time_band_power(linear.power, speed, grid)
+        bounce = PROBES[condition.probe].mass_kg * np.sqrt(linear.normal) / force
+        columns += [
+            (log_amplitude(time_power) + 5.0) / 3.0,
+            0.5 * log_amplitude(linear.power.sum(axis=1))[:, None],
+            # Above 1 the inertia of the linear solution exceeds the load: the probe hops.
+            0.5 * np.log(bounce + 1e-3)[:, None],
+            np.log(linear.resonance / 150.0)[:, None],
+        ]
+        prior[:, carriers.time_slice] = log_amplitude(time_power * share)
+        if carriers.arc_count:
+            prior[:, carriers.arc_slice] = log_amplitude(linear.power)
+    return Inputs(np.concatenate(columns, axis=1), prior, gate)
 
 
 def log_amplitude(power: Float) -> Float:
@@ -145,8 +109,3 @@ def mechanics_columns(mechanics: Mechanics) -> tuple[float, ...]:
     known = [value is not None for value in (mechanics.stiffness_n_m, mechanics.damping_ratio, mechanics.friction)]
     values = (np.log(full.stiffness_n_m / 5e4) / 2.0, (full.damping_ratio - 0.2) / 0.2, (full.friction - 0.3) / 0.3)
     return tuple(float(item) for pair in zip(values, known, strict=True) for item in pair)
-
-
-def _smoothstep(x: Float) -> Float:
-    x = np.clip(x, 0.0, 1.0)
-    return np.asarray(x * x * (3.0 - 2.0 * x))

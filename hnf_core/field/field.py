@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from ..action.action import ACTION_RATE_HZ
 from .carriers import Carriers
-from .features import Condition, build_inputs, input_size
+from .features import build_inputs, input_size
+from .linear_contact import Condition
 from .rendering import render_weights
 
 Float = NDArray[np.float64]

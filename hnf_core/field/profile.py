@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .carriers import ARC_PER_OCTAVE, Carriers
-from .features import SPEED_FLOOR_M_S, Condition, contact_band_power
+from .linear_contact import SPEED_FLOOR_M_S, Condition, profile_band_power
 from .stroke import HeightProfile
 from .timeline import cubic
 
@@ -143,7 +143,7 @@ def share_power(amplitude: Float, bands: ProfileBands, condition: Condition, car
         rows = np.arange(len(speed))[:, None]
         at_band = np.where(inside, density[rows, np.clip(owner, 0, carriers.time_count - 1)], 0.0)
         total = total + at_band * speed[:, None] * np.diff(edges)
-    profile_power = contact_band_power(np.broadcast_to(bands.power, total.shape), condition, carriers)
+    profile_power = profile_band_power(bands.power, condition, carriers)
     present = profile_power > 0.0
     gain2 = np.divide(total, profile_power, out=np.ones_like(total), where=present)
     gain2 = np.minimum(gain2, 1.0)

@@ -18,8 +18,8 @@ from ..signal import Signal
 from .carriers import MODEL_RATE_HZ, Carriers
 from .contact_filter import LEAD, TAIL, FilterBank, filter_bank
 from .extrapolation import examine
-from .features import FORCE_FLOOR_N, Condition
 from .field import Field, accumulate, evaluate
+from .linear_contact import FORCE_FLOOR_N, Condition
 from .modulation import arc_term, interpolate, time_term
 from .profile import ProfileBands, share_power, split_profile
 from .resampling import resample
@@ -70,6 +70,8 @@ def synthesise(field: Field, stroke: StrokeInput, *, seed: int, sample_rate: flo
     samples = np.concatenate(blocks) if blocks else np.zeros(0)
     output, rate_warnings = resample(samples, MODEL_RATE_HZ, sample_rate)
     confidence, warnings = examine(field, stroke, prepared.action)
+    if stroke.profile is not None and prepared.bands is None:
+        warnings += ("This field has no arc-length carriers: the height profile is left out.",)
     provenance = {"probe": stroke.action.probe, "field": field.identity, "model_rate_hz": f"{MODEL_RATE_HZ:g}"}
     signal = Signal(output.astype(np.float32), float(sample_rate), seed, provenance)
     return Synthesis(signal, confidence, (*warnings, *rate_warnings))

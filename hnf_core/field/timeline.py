@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..action.action import ACTION_RATE_HZ, Action
 from ..errors import StrokeError
 from .carriers import MODEL_RATE_HZ
-from .features import Condition
+from .linear_contact import Condition
 from .stroke import StrokeInput
 
 Float = NDArray[np.float64]

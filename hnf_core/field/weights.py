@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from ..errors import FileError, WeightsError
 from ..files import content_hash, write_bytes
+from ..material.material import Appearance, LibraryMaterial
+from ..material.mechanics import Mechanics
 from ..material.token import ENCODER_ID, TOKEN_DIM
 from .carriers import Carriers
 from .field import Field, FieldConfig, Ranges
@@ -49,6 +51,26 @@ def load_field(path: Path | str | None = None) -> Field:
     finite, or belongs to another encoder.
     """
     return _load(DEFAULT_WEIGHTS) if path is None else _read(Path(path))
+
+
+def own_material(field: Field, where: str) -> LibraryMaterial:
+    """The one material that weights were trained for, from their metadata["material"].
+
+    Raises WeightsError where they were trained for many, or name none.
+    """
+    try:
+        record = json.loads(field.metadata["material"])
+        token = np.asarray(record["token"], dtype=np.float32)
+        if token.shape != (TOKEN_DIM,) or not np.isfinite(token).all():
+            raise ValueError("its token is damaged")
+        mechanics = Mechanics(**record.get("mechanics", {}))
+        return LibraryMaterial(str(record["name"]), "", (), Appearance(), mechanics, token)
+    except (KeyError, TypeError, ValueError) as error:
+        raise WeightsError(
+            f"these weights do not belong to one material ({error}).",
+            where=where,
+            remedy="Use --material NAME, or weights written by `hnf train field --material`.",
+        ) from error
 
 
 @lru_cache(maxsize=1)

@@ -1,0 +1,103 @@
+"""An action from a table: the CSV that `hnf synth --action` reads."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import FileError, StrokeError
+from .action import ACTION_RATE_HZ, Action
+
+Float = NDArray[np.float64]
+
+COLUMNS = ("time_s", "direction_rad", "speed_m_s", "force_n")
+_REMEDY = f"Give the header {','.join(COLUMNS)} and one row of four numbers per time."
+
+
+def read_action_csv(path: Path, probe: str = "pen", rate: float = ACTION_RATE_HZ) -> Action:
+    """Read a CSV with the columns time_s, direction_rad, speed_m_s, force_n (any order, any rising time grid).
+
+    Raises FileError where it cannot be read or is no such table, StrokeError where its values make no action.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            rows = [row for row in csv.reader(stream) if any(cell.strip() for cell in row)]
+    except OSError as error:
+        raise FileError(f"cannot read it ({error.strerror}).", where=str(path), remedy="Check the path.") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise FileError(f"not a CSV table ({error}).", where=str(path), remedy=_REMEDY) from error
+    header = [cell.strip() for cell in rows[0]] if rows else []
+    missing = [name for name in COLUMNS if name not in header]
+    if missing:
+        raise FileError(f"column {missing[0]} is missing.", where=str(path), remedy=_REMEDY)
+    table = np.array([_numbers(path, number, row, header) for number, row in enumerate(rows[1:], start=2)])
+    if len(table) < 2:
+        raise StrokeError("fewer than two rows.", where=str(path), remedy=_REMEDY)
+    return action_from_table(
+        *(table[:, header.index(name)] for name in COLUMNS), probe=probe, rate=rate, where=str(path)
+    )
+
+
+def action_from_table(
+    time: Float, direction: Float, speed: Float, force: Float, *, probe: str = "pen", rate: float = ACTION_RATE_HZ,
+    where: str = "action",
+) -> Action:  # fmt: skip
+    """Columns (n,) on any rising time grid [s, rad, m/s, N] → Action on an even one.
+
+    Direction is interpolated as a vector (179° and −179° are neighbours); where it vanishes, the nearest row's counts.
+    Position is the integral of speed over the table's own grid. Contact is where force is above zero. Raises
+    StrokeError for a grid that does not rise, values that are not finite, or negative speed or force.
+    """
+    columns = np.stack([time, direction, speed, force]).astype(np.float64)
+    if not np.isfinite(columns).all():
+        row = int(np.argmin(np.isfinite(columns).all(axis=0))) + 1
+        raise StrokeError(f"row {row} holds a value that is not finite.", where=where, remedy="Remove or repair it.")
+    if np.any(np.diff(time) <= 0.0):
+        row = int(np.argmax(np.diff(time) <= 0.0)) + 2
+        raise StrokeError(f"time does not rise at row {row}.", where=where, remedy="Sort the rows by time_s.")
+    if speed.min() < 0.0 or force.min() < 0.0:
+        raise StrokeError(
+            "speed and force must not be negative.", where=where, remedy="Turn the direction by π to go backward."
+        )
+    count = int(np.floor((time[-1] - time[0]) * rate + 1e-6)) + 1
+    if count < 2:
+        raise StrokeError("shorter than 5 ms.", where=where, remedy="Give a longer time span.")
+    place = time[0] + np.arange(count) / rate
+    travelled = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))])
+    vector = np.stack([np.interp(place, time, np.cos(direction)), np.interp(place, time, np.sin(direction))], axis=1)
+    length = np.linalg.norm(vector, axis=1, keepdims=True)
+    nearest = direction[np.searchsorted(time, place).clip(0, len(time) - 1)]
+    kept = np.stack([np.cos(nearest), np.sin(nearest)], axis=1)
+    pressed = np.interp(place, time, force)
+    return Action(
+        rate=rate,
+        direction=np.where(length > 1e-6, vector / np.maximum(length, 1e-6), kept),
+        speed=np.interp(place, time, speed),
+        force=pressed,
+        position=_travelled_at(place, time, speed, travelled),
+        contact=pressed > 0.0,
+        probe=probe,
+    )
+
+
+def _travelled_at(place: Float, time: Float, speed: Float, travelled: Float) -> Float:
+    """∫ speed dt with speed linear between rows: exact, also between them."""
+    row = np.clip(np.searchsorted(time, place, side="right") - 1, 0, len(time) - 2)
+    dt = place - time[row]
+    slope = (speed[row + 1] - speed[row]) / (time[row + 1] - time[row])
+    return np.asarray(travelled[row] + dt * (speed[row] + 0.5 * slope * dt))
+
+
+def _numbers(path: Path, number: int, row: list[str], header: list[str]) -> list[float]:
+    try:
+        values = [float(cell) for cell in row]
+    except ValueError as error:
+        raise FileError(f"line {number}: {error}.", where=str(path), remedy=_REMEDY) from error
+    if len(values) != len(header):
+        raise FileError(
+            f"line {number} has {len(values)} cells, the header {len(header)}.", where=str(path), remedy=_REMEDY
+        )
+    return values

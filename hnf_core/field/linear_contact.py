@@ -1,0 +1,123 @@
+"""The steady stroke to first order: what linear contact makes of a texture. Physics-shaped input of the field.
+
+Three axes add in power, as DFT321 fuses them: the normal acceleration through contact.height_response; friction, which
+carries μ times the same force fluctuation sideways; and the load leaning on the slopes, F ∇h / m, on a mass that the
+hand holds. A network fed with this has only hopping, creep and saturation left to learn; the bare token made it learn
+a shift of 200 bands with speed and direction, which a small ReLU net does badly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..material.contact import height_response, resonance_hz, tip_response, with_defaults
+from ..material.mechanics import PROBES, Mechanics
+from .carriers import ARC_PER_OCTAVE, Carriers
+from .linear_texture import cut, texture_of
+
+Float = NDArray[np.float64]
+
+SPEED_FLOOR_M_S = 1e-3
+"""Below it the input stops at the floor and the emission falls linearly, so that v → 0 is defined and silent."""
+FORCE_FLOOR_N = 0.02
+HAND_STIFFNESS_N_M = 500.0
+HAND_DAMPING_RATIO = 0.4
+"""Lateral impedance of a hand that holds a tool (A. Z. Hajian & R. D. Howe 1997, J. Biomech. Eng. 119)."""
+ASPERITY_SHARE = 0.5
+"""Radius of the spots that carry the load, over the Hertz radius (J. F. Archard 1957): they meet the slopes."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """States at which the field is evaluated, n of them.
+
+    tokens: (n, TOKEN_DIM). mechanics: one per material; material: (n,) its index at each state. direction: (n, 2).
+    speed, force: (n,). contact: (n,) bool. probe: name.
+    """
+
+    tokens: Float
+    mechanics: tuple[Mechanics, ...]
+    material: NDArray[np.int32]
+    direction: Float
+    speed: Float
+    force: Float
+    contact: NDArray[np.bool_]
+    probe: str
+
+
+@dataclass(frozen=True)
+class LinearContact:
+    """power: (n, Ka) acceleration power [(m/s²)²] per arc band, all axes; normal: (n,) of the normal axis alone.
+    resonance: (n,) Hz of probe on contact."""
+
+    power: Float
+    normal: Float
+    resonance: Float
+
+
+def arc_gain(wavenumber: Float, speed: Float) -> Float:
+    """Fade of an arc carrier at f = κ v: out below 8 → 4 Hz (no drift) and above 4 → 4.8 kHz (no aliasing).
+
+    wavenumber: (K,) cycles/m; speed: (n,) m/s. Returns (n, K).
+    """
+    frequency = speed[:, None] * wavenumber[None, :]
+    return np.asarray(_smoothstep((frequency - 4.0) / 4.0) * (1.0 - _smoothstep((frequency - 4000.0) / 800.0)))
+
+
+def linear_contact(condition: Condition, carriers: Carriers) -> LinearContact:
+    """Expected power of each state, as if it lasted; out of contact as at the force floor."""
+    kappa, probe = carriers.arc_centres(), PROBES[condition.probe]
+    speed = np.maximum(condition.speed, SPEED_FLOOR_M_S)
+    force = np.maximum(condition.force, FORCE_FLOOR_N)
+    texture = texture_of(condition.tokens, condition.direction, carriers)
+    # One row per distinct load of a material would do; rows are few, so each is computed.
+    passed, leaned, response = (np.zeros((len(speed), len(kappa))) for _ in range(3))
+    friction, resonance = np.zeros(len(speed)), np.zeros(len(speed))
+    omega = 2.0 * np.pi * kappa * speed[:, None]
+    for index, mechanics in enumerate(condition.mechanics):
+        rows = np.flatnonzero(condition.material == index)
+        load = force[rows, None]
+        passed[rows] = np.square(tip_response(kappa, mechanics, probe, load))
+        leaned[rows] = np.square(2.0 * np.pi * kappa * tip_response(ASPERITY_SHARE * kappa, mechanics, probe, load))
+        response[rows] = np.square(np.abs(height_response(kappa * speed[rows, None], mechanics, probe, load)))
+        friction[rows] = with_defaults(mechanics).friction
+        resonance[rows] = resonance_hz(mechanics, probe, force[rows])
+    hand = HAND_STIFFNESS_N_M / probe.mass_kg
+    lateral = omega**4 / (np.square(hand - omega**2) + 4.0 * HAND_DAMPING_RATIO**2 * hand * omega**2)
+    fade = np.square(arc_gain(kappa, speed))
+    normal = cut(texture, passed, carriers) * response * fade
+    slopes = cut(texture, leaned, carriers) * lateral * np.square(force / probe.mass_kg)[:, None] * fade
+    return LinearContact(normal * (1.0 + np.square(friction))[:, None] + slopes, normal.sum(axis=1), resonance)
+
+
+def profile_band_power(height_power: Float, condition: Condition, carriers: Carriers) -> Float:
+    """Height power per arc band (Ka,) of a profile → acceleration power (n, Ka) along the normal; 0 out of contact."""
+    kappa, probe = carriers.arc_centres(), PROBES[condition.probe]
+    speed = np.maximum(condition.speed, SPEED_FLOOR_M_S)
+    out = np.zeros((len(speed), len(kappa)))
+    for index, mechanics in enumerate(condition.mechanics):
+        rows = np.flatnonzero((condition.material == index) & condition.contact & (condition.force > 0.0))
+        load = np.maximum(condition.force[rows], FORCE_FLOOR_N)[:, None]
+        tip = tip_response(kappa, mechanics, probe, load)
+        response = np.abs(height_response(kappa * speed[rows, None], mechanics, probe, load))
+        out[rows] = height_power * np.square(tip * response * arc_gain(kappa, speed[rows]))
+    return out
+
+
+def time_band_power(arc_power: Float, speed: Float, carriers: Carriers) -> Float:
+    """Power that falls into each time band when arc band k moves at speed v. (n, Ka), (n,) → (n, Kt)."""
+    cumulative = np.concatenate([np.zeros((len(arc_power), 1)), np.cumsum(arc_power, axis=1)], axis=1)
+    edges = carriers.time_edges()[None, :] / (np.maximum(speed, SPEED_FLOOR_M_S)[:, None] * carriers.arc_start_per_m)
+    place = np.clip(ARC_PER_OCTAVE * np.log2(edges), 0.0, arc_power.shape[1])
+    low = np.minimum(place.astype(int), arc_power.shape[1] - 1)
+    rows = np.arange(len(arc_power))[:, None]
+    at_edge = cumulative[rows, low] + (place - low) * (cumulative[rows, low + 1] - cumulative[rows, low])
+    return np.asarray(np.diff(at_edge, axis=1))
+
+
+def _smoothstep(x: Float) -> Float:
+    x = np.clip(x, 0.0, 1.0)
+    return np.asarray(x * x * (3.0 - 2.0 * x))

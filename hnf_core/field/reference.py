@@ -1,0 +1,131 @@
+"""The literal model, sample by sample in float64: slow, plain, and what the fast path is tested against.
+
+u(t) is read at every 10 kHz sample, F_Θ evaluated there and at the N past samples, and every carrier summed from its
+Fourier coefficients at the exact t or s(t). No tables, no interpolation of amplitudes, no spatial grid.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..action.action import ACTION_RATE_HZ, Action
+from ..errors import UsageError
+from .carriers import ARC_BLOCK, MODEL_RATE_HZ, TIME_BLOCK, Carriers
+from .field import Field, evaluate
+from .rendering import render_weights
+from .stroke import StrokeInput
+from .synthesis import contact_term, prepare
+from .timeline import SAMPLES_PER_STATE, condition_of, cubic, sample_count, states_of
+
+Float = NDArray[np.float64]
+
+
+def synthesise_reference(field: Field, stroke: StrokeInput, *, seed: int, start: int = 0, count: int = 2000) -> Float:
+    """Samples start … of the model rate [m/s²], (count,) float64.
+
+    The texture term is literal; pressing is the shared linear filter, which is exact already. Raises UsageError for a
+    stroke with a height profile: its share of the power is defined at the action rate.
+    """
+    if stroke.profile is not None:
+        raise UsageError("the reference does not take a height profile.", remedy="Compare without it.")
+    action, token_index = states_of(stroke)
+    count = min(count, sample_count(action) - start)
+    prepared = prepare(field, stroke, seed=seed)
+    texture = texture_reference(field, stroke, action, token_index, seed, start, count)
+    out = prepared.audible[start : start + count] * (texture + contact_term(prepared, start, count))
+    return np.asarray(out)
+
+
+def texture_reference(
+    field: Field,
+    stroke: StrokeInput,
+    action: Action,
+    token_index: NDArray[np.int32],
+    seed: int,
+    start: int,
+    count: int,
+) -> Float:
+    """Σ_n w_n Σ_k A_k c_k, literally. Returns (count,)."""
+    config, carriers = field.config, field.config.carriers
+    lag = round(config.spacing_s * MODEL_RATE_HZ)
+    out = np.zeros(count)
+    for offset in range(0, count, 500):
+        sample = start + offset + np.arange(min(500, count - offset))
+        emissions = []
+        for n in range(config.states if config.accumulation == "past" else 1):
+            at = sample - n * lag
+            emission = evaluate(field, condition_of(stroke, *_action_at(action, token_index, at)))
+            emissions.append((np.where(at[:, None, None] < 0, 0.0, emission.alpha), emission.sigma_dt))
+        if config.accumulation == "past":
+            sigma = np.stack([emission[1][:, n] for n, emission in enumerate(emissions)], axis=1)
+            weights = render_weights(sigma)
+            terms = [(0, sum(weights[:, n, None] * emission[0][:, 0] for n, emission in enumerate(emissions)))]
+        else:
+            alpha, sigma = emissions[0]
+            weights = render_weights(sigma)
+            terms = [(n, weights[:, n, None] * alpha[:, n]) for n in range(config.states)]
+        total = np.zeros(len(sample))
+        for delay, amplitude in terms:
+            place = cubic(action.position, (sample - delay) / SAMPLES_PER_STATE)
+            total += np.einsum("ik,ik->i", amplitude, carriers_at(carriers, seed, sample - delay, place))
+        out[offset : offset + len(sample)] = total
+    return out
+
+
+def carriers_at(carriers: Carriers, seed: int, sample: NDArray[np.intp], place: Float) -> Float:
+    """(count, K) every carrier at given samples of the model rate and places s [m], by Fourier sums."""
+    columns = [np.ones((len(sample), int(carriers.constant)))]
+    if carriers.time_count:
+        columns.append(_fourier(lambda b: carriers.time_block_spectra(seed, b), TIME_BLOCK, sample.astype(np.float64)))
+    for octave in range(carriers.arc_octaves):
+        columns.append(
+            _fourier(
+                lambda b, octave=octave: carriers.arc_block_spectra(seed, octave, b),
+                ARC_BLOCK,
+                place / carriers.arc_step_m(octave),
+            )
+        )
+    return np.concatenate(columns, axis=1)
+
+
+def _fourier(spectra, size: int, at: Float) -> Float:  # type: ignore[no-untyped-def]
+    """Faded blocks summed at fractional positions; the window is evaluated there too."""
+    hop = size // 2
+    block = np.floor(at / hop).astype(int)
+    total = None
+    for index in range(int(block.min()) - 1, int(block.max()) + 1):
+        inside = np.flatnonzero((at >= index * hop) & (at < index * hop + size))
+        coefficients = spectra(index)
+        if total is None:
+            total = np.zeros((len(at), len(coefficients)))
+        used = np.flatnonzero(np.any(coefficients != 0.0, axis=0))
+        local = at[inside] - index * hop
+        waves = np.exp(2j * np.pi * local[:, None] * used[None, :] / size)
+        fade = np.sin(0.5 * np.pi * np.sin(np.pi * (local + 0.5) / size) ** 2)
+        total[inside] += 2.0 / size * np.real(waves @ coefficients[:, used].T) * fade[:, None]
+    assert total is not None
+    return np.asarray(total)
+
+
+def _action_at(
+    action: Action, token_index: NDArray[np.int32], sample: NDArray[np.intp]
+) -> tuple[Action, NDArray[np.int32]]:
+    """u at samples of the model rate, clamped to the stroke."""
+    place = np.clip(sample / SAMPLES_PER_STATE, 0, len(action.speed) - 1)
+    states = np.arange(len(action.speed))
+    nearest = np.rint(place).astype(int)
+    direction = np.stack([np.interp(place, states, action.direction[:, axis]) for axis in range(2)], axis=1)
+    length = np.linalg.norm(direction, axis=1, keepdims=True)
+    local = dataclasses.replace(
+        action,
+        rate=ACTION_RATE_HZ,
+        direction=np.where(length > 1e-9, direction / np.maximum(length, 1e-9), action.direction[nearest]),
+        speed=np.interp(place, states, action.speed),
+        force=np.interp(place, states, action.force),
+        position=cubic(action.position, place),
+        contact=action.contact[nearest],
+    )
+    return local, token_index[nearest]

@@ -1,0 +1,90 @@
+"""Conditions to train on: who is stroked, with what, how fast, how hard, in which direction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..material.mechanics import Mechanics
+from .surfaces import Surface
+
+Float = NDArray[np.float64]
+
+SPEED_RANGE_M_S = (0.005, 0.4)
+FORCE_RANGE_N = (0.1, 5.0)
+SPEEDS = 64
+"""Steady strokes use a grid of speeds: the expectation of a window needs one matrix per speed."""
+STIFFNESS_RANGE_N_M = (8e2, 4e5)
+DAMPING_RANGE = (0.05, 0.8)
+FRICTION_RANGE = (0.1, 1.3)
+OWN_MECHANICS_SHARE = 0.6
+UNKNOWN_SHARE = 0.25
+"""Chance of each mechanical value to be withheld from the network."""
+
+
+@dataclass(frozen=True)
+class Steady:
+    """One steady stroke. surface: index; speed: index into speed_grid(); angle: rad; force: N."""
+
+    surface: int
+    mechanics: Mechanics
+    probe: str
+    speed: int
+    angle: float
+    force: float
+    start: tuple[float, float]
+
+
+def speed_grid() -> Float:
+    return np.geomspace(*SPEED_RANGE_M_S, SPEEDS)
+
+
+def steady_strokes(surfaces: Sequence[Surface], per_surface: int, seed: int) -> list[Steady]:
+    """per_surface conditions on each surface, one probe per surface and draw, log-uniform in speed and force."""
+    rng = np.random.default_rng(seed)
+    strokes = []
+    for index, surface in enumerate(surfaces):
+        for draw in range(per_surface):
+            strokes.append(
+                Steady(
+                    surface=index,
+                    mechanics=draw_mechanics(surface.mechanics, rng),
+                    probe="pen" if draw % 3 else "finger",
+                    speed=int(rng.integers(SPEEDS)),
+                    angle=float(rng.uniform(0.0, 2.0 * np.pi)),
+                    force=float(np.exp(rng.uniform(*np.log(FORCE_RANGE_N)))),
+                    start=(float(rng.uniform(0.0, 0.02)), float(rng.uniform(0.0, 0.02))),
+                )
+            )
+    return strokes
+
+
+def draw_mechanics(own: Mechanics | None, rng: np.random.Generator) -> Mechanics:
+    """The material's own values (with 20 % of scatter) or any, so that the condition is not read off the token."""
+    if own is not None and rng.random() < OWN_MECHANICS_SHARE:
+        scatter = np.exp(0.2 * rng.standard_normal(3))
+        return Mechanics(
+            None if own.stiffness_n_m is None else own.stiffness_n_m * float(scatter[0]),
+            None if own.damping_ratio is None else own.damping_ratio * float(scatter[1]),
+            None if own.friction is None else own.friction * float(scatter[2]),
+        )
+    return Mechanics(
+        float(np.exp(rng.uniform(*np.log(STIFFNESS_RANGE_N_M)))),
+        float(np.exp(rng.uniform(*np.log(DAMPING_RANGE)))),
+        float(np.exp(rng.uniform(*np.log(FRICTION_RANGE)))),
+    )
+
+
+def withhold(mechanics: Mechanics, rng: np.random.Generator) -> Mechanics:
+    """Each value dropped to unknown with chance UNKNOWN_SHARE; one time in eight all of them."""
+    if rng.random() < 0.125:
+        return Mechanics()
+    keep = rng.random(3) >= UNKNOWN_SHARE
+    return Mechanics(
+        mechanics.stiffness_n_m if keep[0] else None,
+        mechanics.damping_ratio if keep[1] else None,
+        mechanics.friction if keep[2] else None,
+    )

@@ -1,0 +1,164 @@
+"""Fit F_Θ to recorded window powers: Adam, cosine annealing, everything in memory."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ..field.features import DIRECTION_AT, build_inputs
+from ..field.field import FieldConfig, initial_parameters
+from ..field.linear_contact import Condition
+from ..material.mechanics import Mechanics
+from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M
+from .conditions import Steady, speed_grid, withhold
+from .expectation import expectation_matrices
+from .model import FieldNetwork, whittle
+from .recordings import FINE_BINS
+
+Float = NDArray[np.float64]
+
+DENSITY_FLOOR = 1e-9
+"""(m/s²)²/Hz: added to both sides, 1 mm/s² over the band; below it nothing is felt."""
+COARSE_WEIGHT = 4.0
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """batch rows, epochs, learning rate of Adam (annealed to 1 % by a cosine), weight decay of layers and heads."""
+
+    epochs: int = 60
+    batch: int = 256
+    learning_rate: float = 2e-3
+    decay: float = 1e-4
+
+
+@dataclass(frozen=True)
+class TrainingSet:
+    """x (V, n, D), prior (V, n, K), gate (n, K): inputs with all mechanics (first) and V − 1 draws of withheld ones.
+    speed: (n,) index. power: (n, 107)."""
+
+    x: Tensor
+    prior: Tensor
+    gate: Tensor
+    speed: Tensor
+    power: Tensor
+
+
+def condition_of(strokes: Sequence[Steady], tokens: NDArray[np.float32], mechanics: Sequence[Mechanics]) -> Condition:
+    """tokens: (surfaces, TOKEN_DIM). All strokes must share one probe."""
+    angle = np.array([stroke.angle for stroke in strokes])
+    count = len(strokes)
+    return Condition(
+        tokens=tokens[[stroke.surface for stroke in strokes]].astype(np.float64),
+        mechanics=tuple(mechanics),
+        material=np.arange(count, dtype=np.int32),
+        direction=np.stack([np.cos(angle), np.sin(angle)], axis=1),
+        speed=speed_grid()[[stroke.speed for stroke in strokes]],
+        force=np.array([stroke.force for stroke in strokes]),
+        contact=np.ones(count, dtype=bool),
+        probe=strokes[0].probe,
+    )
+
+
+def training_set(
+    config: FieldConfig, strokes: Sequence[Steady], tokens: NDArray[np.float32], power: Float, variants: int, seed: int
+) -> TrainingSet:
+    """Network inputs of every stroke, with variants − 1 random draws of unknown mechanics."""
+    rng = np.random.default_rng(seed)
+    count, known = len(strokes), [stroke.mechanics for stroke in strokes]
+    xs, priors, gate = [], [], np.zeros((count, config.carriers.count), dtype=np.float32)
+    for variant in range(variants):
+        mechanics = known if variant == 0 else [withhold(each, rng) for each in known]
+        x = np.zeros((count, config.shapes()["layer0.weight"][1]), dtype=np.float32)
+        prior = np.zeros_like(gate)
+        for probe in sorted({stroke.probe for stroke in strokes}):
+            rows = np.array([row for row, stroke in enumerate(strokes) if stroke.probe == probe])
+            inputs = build_inputs(
+                condition_of([strokes[row] for row in rows], tokens, [mechanics[row] for row in rows]),
+                config.carriers,
+                config.physics,
+            )
+            x[rows], prior[rows], gate[rows] = inputs.x, inputs.prior, inputs.gate
+        xs.append(x)
+        priors.append(prior)
+    speed = torch.tensor([stroke.speed for stroke in strokes])
+    return TrainingSet(
+        torch.tensor(np.stack(xs)), torch.tensor(np.stack(priors)), torch.tensor(gate), speed,
+        torch.tensor(power, dtype=torch.float32),
+    )  # fmt: skip
+
+
+class Likelihood:
+    """Expected power of steady strokes and its negative log-likelihood."""
+
+    def __init__(self, config: FieldConfig) -> None:
+        time, arc = expectation_matrices(config.carriers, speed_grid())
+        self.carriers = config.carriers
+        self.time = torch.tensor(time, dtype=torch.float32)
+        self.arc = torch.tensor(arc, dtype=torch.float32)
+        self.weight = torch.ones(time.shape[1])
+        self.weight[FINE_BINS:] = COARSE_WEIGHT
+
+    def expected(self, amplitude: Tensor, speed: Tensor) -> Tensor:
+        """(n, K) amplitudes, (n,) speed indices → (n, 107)."""
+        power = amplitude.square()
+        time = power[:, self.carriers.time_slice] @ self.time
+        order = torch.argsort(speed)
+        values, counts = torch.unique_consecutive(speed[order], return_counts=True)
+        parts = power[order][:, self.carriers.arc_slice].split(counts.tolist())  # type: ignore[no-untyped-call]
+        arc = torch.cat([part @ self.arc[value] for part, value in zip(parts, values.tolist(), strict=True)])
+        return time + arc[torch.argsort(order)] + DENSITY_FLOOR
+
+    def __call__(self, amplitude: Tensor, speed: Tensor, power: Tensor) -> Tensor:
+        return whittle(self.expected(amplitude, speed), power + DENSITY_FLOOR, self.weight).mean() / self.weight.sum()
+
+
+def fit(config: FieldConfig, data: TrainingSet, schedule: Schedule, seed: int) -> FieldNetwork:
+    """Train from initial_parameters(config, seed); deterministic for one number of threads."""
+    network = FieldNetwork(config, initial_parameters(config, seed))
+    likelihood = Likelihood(config)
+    generator = torch.Generator().manual_seed(seed)
+    optimiser = torch.optim.AdamW(network.parameters(), lr=schedule.learning_rate, weight_decay=schedule.decay)
+    count, variants = len(data.speed), len(data.x)
+    steps = schedule.epochs * math.ceil(count / schedule.batch)
+    anneal = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps, schedule.learning_rate * 0.01)
+    for epoch in range(schedule.epochs):
+        order = torch.randperm(count, generator=generator)
+        total = 0.0
+        for rows in torch.tensor_split(order, range(schedule.batch, count, schedule.batch)):
+            variant = torch.randint(variants, (len(rows),), generator=generator)
+            turn = torch.rand(len(rows), generator=generator) * (2.0 * math.pi)
+            x = turned(data.x[variant, rows], turn)
+            amplitude = network.steady_amplitude(x, data.prior[variant, rows], data.gate[rows])
+            loss = likelihood(amplitude, data.speed[rows], data.power[rows])
+            optimiser.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+            optimiser.step()
+            anneal.step()
+            total += float(loss.detach()) * len(rows)
+        print(f"\repoch {epoch + 1}/{schedule.epochs} loss {total / count:.4f}", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    return network
+
+
+def turned(x: Tensor, angle: Tensor) -> Tensor:
+    """The same strokes on the same surfaces, both turned: nothing may depend on where a tangent frame points."""
+    width, bands = len(BAND_FEATURES), range(len(BAND_WAVELENGTHS_M))
+    two = [band * width + BAND_FEATURES.index("cos2") for band in bands]
+    four = [band * width + BAND_FEATURES.index("cos4") for band in bands]
+    columns = torch.tensor([*two, *four, DIRECTION_AT])
+    folds = torch.tensor([2.0] * len(two) + [4.0] * len(four) + [1.0])
+    cos, sin = torch.cos(angle[:, None] * folds), torch.sin(angle[:, None] * folds)
+    first, second = x[:, columns], x[:, columns + 1]
+    x = x.clone()
+    x[:, columns] = first * cos - second * sin
+    x[:, columns + 1] = first * sin + second * cos
+    return x

@@ -1,0 +1,67 @@
+"""Surfaces to train on: the library's and random ones, also with long waves of one and short waves of another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..material.encoder import describe
+from ..material.mechanics import Mechanics
+from ..simulation.recipes import random_recipe
+from ..simulation.sampling import SmoothedMaps
+from ..simulation.surface import TILE_PIXELS, TILE_SIZE_M, SurfaceRecipe, height_map, wavenumbers
+from ..tactile.height import tactile_map_from_height
+
+Float = NDArray[np.float64]
+
+LEVEL_SPREAD = 0.4
+"""Decades by which a random surface is scaled up or down, uniformly."""
+FUSION_BORDER_M = (0.2e-3, 6e-3)
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A height map with what E says of it. mechanics: of the material it comes from, None = any."""
+
+    name: str
+    maps: SmoothedMaps
+    token: NDArray[np.float32]
+    mechanics: Mechanics | None = None
+
+
+def make_surface(name: str, height: NDArray[np.float32], mechanics: Mechanics | None = None) -> Surface:
+    """Describe a height map (one 20 mm tile) by the product's own path: sensor image, then E."""
+    pitch = TILE_SIZE_M / height.shape[0]
+    token = describe(tactile_map_from_height(height, None, pitch, 2.0 * pitch)).values
+    return Surface(name, SmoothedMaps(height, keep=4), token, mechanics)
+
+
+def random_surfaces(count: int, seed: int) -> list[Surface]:
+    """Random recipes; every second one fused from two, because tokens in use are: measured long waves of a bake with a
+    library material's short waves."""
+    rng = np.random.default_rng(seed)
+    heights = []
+    for _ in range(count):
+        scale = 10.0 ** rng.uniform(-LEVEL_SPREAD, LEVEL_SPREAD)
+        heights.append(height_map(random_recipe(rng), int(rng.integers(2**31))) * np.float32(scale))
+    surfaces = []
+    for index, height in enumerate(heights):
+        if index % 2:
+            border_m = np.exp(rng.uniform(*np.log(FUSION_BORDER_M)))
+            height = fuse(height, heights[int(rng.integers(count))], 1.0 / border_m)
+        surfaces.append(make_surface(f"random-{index}", height))
+    return surfaces
+
+
+def recipe_surface(name: str, recipe: SurfaceRecipe, seed: int, mechanics: Mechanics | None) -> Surface:
+    return make_surface(name, height_map(recipe, seed), mechanics)
+
+
+def fuse(low: NDArray[np.float32], high: NDArray[np.float32], border_per_m: float) -> NDArray[np.float32]:
+    """Waves longer than 1 / border from one map, shorter ones from another."""
+    kx, ky = wavenumbers(TILE_PIXELS, TILE_SIZE_M)
+    keep = np.hypot(kx, ky) < border_per_m
+    spectrum = np.where(keep, np.fft.rfft2(low), np.fft.rfft2(high))
+    return np.asarray(np.fft.irfft2(spectrum, low.shape), dtype=np.float32)
