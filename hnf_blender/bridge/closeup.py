@@ -336,11 +336,12 @@ def resolved_wavelength(sources: Sequence[Relief | Slopes], passes: Passes, mask
 
 def texel_size(image: ImageTap, passes: Passes, mask: Mask, pixel_m: float) -> float:
     """Median size in metres of a texel, along the direction in which it is longest; inf where it cannot be told."""
-    place = image.vector.read(passes)[..., :2] * np.asarray(image.texels, dtype=np.float64)
+    texels = np.asarray(image.texels, dtype=np.float64)
+    place = image.vector.read(passes)[..., : len(texels)] * texels
     across = (place[1:-1, 2:] - place[1:-1, :-2]) / (2.0 * pixel_m)
     along = (place[2:, 1:-1] - place[:-2, 1:-1]) / (2.0 * pixel_m)
-    square = np.sum(across**2, axis=-1) + np.sum(along**2, axis=-1)
-    area = across[..., 0] * along[..., 1] - across[..., 1] * along[..., 0]
-    smallest = np.sqrt(np.maximum(square - np.sqrt(np.maximum(square**2 - 4.0 * area**2, 0.0)), 0.0) / 2.0)
+    # Singular values of the Jacobian (texels per metre) by its first fundamental form.
+    e, f, g = (np.sum(a * b, axis=-1) for a, b in ((across, across), (across, along), (along, along)))
+    smallest = np.sqrt(np.maximum((e + g - np.sqrt((e - g) ** 2 + 4.0 * f**2)) / 2.0, 0.0))
     inner = mask[1:-1, 1:-1] & (smallest > 0.0)
     return float(np.median(1.0 / smallest[inner])) if inner.any() else float("inf")

@@ -72,6 +72,7 @@ def surface_mesh(obj: Any, depsgraph: Any, metres_per_unit: float) -> Surface:
     """
     original = obj.original
     where = f"object '{original.name}'"
+    flush_edits(original)
     evaluated = original.evaluated_get(depsgraph)
     rigid, stretch = surface_frame(evaluated.matrix_world, metres_per_unit, where)
     with evaluated_mesh(evaluated, depsgraph) as mesh:
@@ -82,6 +83,12 @@ def surface_mesh(obj: Any, depsgraph: Any, metres_per_unit: float) -> Surface:
         notes = (*notes, f"{where} shares its mesh with {original.data.users - 1} other user(s).")
     names = tuple("" if material is None else material.name for material in materials)
     return Surface(original.name, triangles, rigid, stretch, source, names, notes)
+
+
+def flush_edits(obj: Any) -> None:
+    """What is being edited becomes the object's mesh, as it does on leaving Edit Mode."""
+    if obj.mode == "EDIT":
+        obj.update_from_editmode()
 
 
 def materials_of(evaluated: Any, mesh: Any) -> list[Any]:

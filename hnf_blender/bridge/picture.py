@@ -20,6 +20,7 @@ from .stage import set_stage
 from .temporary import Temporary
 
 DOME_STRENGTH = 1.0
+MAX_BOUNCES = 4
 SAME_DEPTH = 1e-3
 """Relative depth difference under which a rendered pixel shows the surface that a ray met."""
 
@@ -66,7 +67,7 @@ def render_overview(
         else:
             aim(temporary.scene, add_camera(temporary), camera, np.eye(4), metres_per_unit)
             temporary.evaluate(_frame(scene, frame))
-        _use_denoiser(temporary.scene)
+        _for_a_quick_look(temporary.scene)
         passes = render_passes(temporary)
     depth = planar_depth(passes, metres_per_unit)
     view = RgbdView(
@@ -160,8 +161,10 @@ def _frame(scene: Any, frame: float | None) -> float:
     return float(scene.frame_current_final) if frame is None else frame
 
 
-def _use_denoiser(scene: Any) -> None:
-    """Open Image Denoise where this build has it: without it the render would fail, or silently stay noisy."""
+def _for_a_quick_look(scene: Any) -> None:
+    """Few bounces, and Open Image Denoise where this build has it: without it the render would fail, or stay noisy."""
+    scene.cycles.max_bounces = min(scene.cycles.max_bounces, MAX_BOUNCES)
+    scene.cycles.caustics_reflective = scene.cycles.caustics_refractive = False
     if compat.has_denoiser():
         scene.cycles.use_denoising = True
         scene.cycles.denoiser = "OPENIMAGEDENOISE"

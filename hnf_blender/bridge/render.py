@@ -103,7 +103,8 @@ def render_passes(temporary: Temporary) -> dict[str, NDArray[np.float32]]:
     path.unlink(missing_ok=True)
     temporary.scene.render.filepath = str(path)
     try:
-        with quiet():
+        # An operator updates its context's view layer: ours, or cost would follow the size of the user's scene.
+        with quiet(), bpy.context.temp_override(scene=temporary.scene, view_layer=temporary.view_layer):
             bpy.ops.render.render(scene=temporary.scene.name, layer=temporary.view_layer.name, write_still=True)
     except RuntimeError as error:
         raise SceneError(f"Blender could not render ({error}).", where="close-up") from error

@@ -19,12 +19,12 @@ COORDINATES = frozenset({"ShaderNodeUVMap", "ShaderNodeTexCoord", "ShaderNodeNew
 
 @dataclass(frozen=True)
 class ImageTap:
-    """An image that shapes the surface. vector: tap of its texture coordinates. texels: (width, height) for one
-    coordinate unit."""
+    """An image that shapes the surface. vector: tap of its texture coordinates. texels: for one unit of each
+    coordinate: (x, y), or (x, y, z) where the image is projected from several sides."""
 
     name: str
     vector: Tap
-    texels: tuple[float, float]
+    texels: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,9 @@ def _image_tap(node: Any, tapper: Tapper) -> ImageTap:
         tap = tapper.output(active.outputs["UV"], "COLOR")
     scale = node.texture_mapping.scale
     width, height = node.image.size
-    return ImageTap(node.image.name, tap, (width * scale[0], height * scale[1]))
+    flat = (width * scale[0], height * scale[1])
+    # Box, sphere and tube projections look along all three axes.
+    return ImageTap(node.image.name, tap, flat if node.projection == "FLAT" else (*flat, width * scale[2]))
 
 
 def _is_plain_normal(source: Any) -> bool:

@@ -544,6 +544,51 @@ def test_a_lit_picture_comes_when_asked():
     assert close.view.rgb.mean() > 0.3
 
 
+def test_an_image_projected_as_a_box_is_resolved_by_its_texels():
+    plane, texture = normal_mapped_plane(*height_image(count=64)[1:])
+    tree = plane.data.materials[0].node_tree
+    coordinates = tree.nodes.new("ShaderNodeTexCoord")
+    texture.projection = "BOX"
+    tree.links.new(coordinates.outputs["Object"], texture.inputs["Vector"])
+    assert look(plane).resolved_wavelength_m == pytest.approx(2.0 / 64, rel=1e-3)  # one repeat a metre
+
+
+def test_the_users_scene_is_not_evaluated_again():
+    """Else a close-up would cost what the whole scene costs."""
+    plane = bumpy_plane()
+    for index in range(3):
+        add_plane(f"Neighbour{index}")
+    bpy.context.view_layer.update()
+    updated = []
+
+    def note(scene, *_):
+        updated.append(scene.name)
+
+    mine = bpy.context.scene.name
+    bpy.app.handlers.depsgraph_update_post.append(note)
+    try:
+        render_closeups(plane, [patch(), patch(0.01)], pixels=32)
+    finally:
+        bpy.app.handlers.depsgraph_update_post.remove(note)
+    assert updated  # the handler does see the stage
+    assert mine not in updated
+
+
+def test_an_object_linked_from_a_library_is_read(tmp_path):
+    bumpy_plane()
+    path = tmp_path / "library.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(str(path), link=True) as (found, wanted):
+        wanted.objects = list(found.objects)
+    plane = wanted.objects[0]
+    bpy.context.scene.collection.objects.link(plane)
+    before = datablock_names()
+    assert_sine(look(plane), 0.5e-4)
+    assert plane.library is not None
+    assert datablock_names() == before
+
+
 @pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
 def test_nothing_is_left_after_an_error_half_way(monkeypatch, error):
     plane = bumpy_plane()

@@ -1,0 +1,40 @@
+"""What differs between Blender versions, seen through compat."""
+
+from __future__ import annotations
+
+import bpy
+import pytest
+from builders import add_plane
+
+from hnf_blender import compat
+
+
+def test_f_curves_are_those_of_the_datablock_itself():
+    plane = add_plane()
+    assert compat.fcurves_of(plane) == []
+    camera = bpy.data.cameras.new("Camera")
+    holder = bpy.data.objects.new("Holder", camera)
+    holder.keyframe_insert("location", frame=1)
+    camera.keyframe_insert("lens", frame=1)  # from 4.4 on in the same action, in another slot
+    assert sorted({curve.data_path for curve in compat.fcurves_of(holder)}) == ["location"]
+    assert len(compat.fcurves_of(holder)) == 3
+    assert [curve.data_path for curve in compat.fcurves_of(camera)] == ["lens"]
+
+
+def test_engines_and_formats_have_their_names_here():
+    render = bpy.context.scene.render
+    compat.use_multilayer_exr(render)
+    assert render.image_settings.file_format == "OPEN_EXR_MULTILAYER"
+    engines = {engine.identifier for engine in type(render).bl_rna.properties["engine"].enum_items}
+    try:
+        render.engine = compat.eevee_engine()
+    except TypeError as error:
+        pytest.fail(f"{error}; known: {engines}")
+
+
+@pytest.mark.parametrize("kind", ["materials", "worlds"])
+def test_nodes_can_be_switched_on(kind):
+    block = getattr(bpy.data, kind).new("x")
+    compat.switch_nodes_on(block)
+    assert compat.use_nodes(block)
+    assert len(block.node_tree.nodes) > 0
