@@ -137,6 +137,7 @@ def _record(closeup: CloseUp, surface: Surface, counts: Counts) -> PatchRecord:
         metres_per_pixel=closeup.metres_per_pixel,
         resolved_wavelength_m=closeup.resolved_wavelength_m,
         height_source=closeup.height_source,
+        height_peak_to_peak_m=0.0 if closeup.height is None else float(np.ptp(closeup.height[closeup.mask])),
         token=None if token is None else token.values,
         known=None if token is None else token.known,
         appearance=closeup.appearance,

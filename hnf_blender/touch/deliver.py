@@ -60,7 +60,7 @@ def deliver(folder: Path, job: Job, baked: BakedStroke, felt: Felt, view: Stroke
         routes=routes,
         resolved_wavelength_m=resolved,
         height_source=record.height_source,
-        height_peak_to_peak_m=None if record.height is None else float(np.ptp(record.height[record.mask])),
+        height_peak_to_peak_m=None if record.height is None else record.height_peak_to_peak_m,
         wav=f"{stem}.wav",
         picture=f"{stem}.png",
         duration_s=round(signal.duration_s, 6),

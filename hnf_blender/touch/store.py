@@ -21,6 +21,7 @@ class PatchRecord:
 
     height: (H, W) float32 metres, or None where the shader has no micro-geometry. mask: (H, W) bool.
     metres_per_pixel: m. resolved_wavelength_m: inf where nothing is resolved. height_source: for the report.
+    height_peak_to_peak_m: of the shader's own height, 0 where it has none.
     token, known: E of the tactile map, or None. appearance: shading values averaged over the patch.
     faces: (k,) int32 faces of the object's own mesh that the patch covers. notes: warnings for the artist.
     """
@@ -30,6 +31,7 @@ class PatchRecord:
     metres_per_pixel: float
     resolved_wavelength_m: float
     height_source: str
+    height_peak_to_peak_m: float
     token: NDArray[np.float32] | None
     known: NDArray[np.bool_] | None
     appearance: Appearance
@@ -50,6 +52,7 @@ def load_patch(folder: Path, key: str) -> PatchRecord | None:
                 metres_per_pixel=float(data["metres_per_pixel"]),
                 resolved_wavelength_m=float(data["resolved_wavelength_m"]),
                 height_source=str(data["height_source"]),
+                height_peak_to_peak_m=float(data["height_peak_to_peak_m"]),
                 token=data["token"] if measured else None,
                 known=data["known"] if measured else None,
                 appearance=_appearance_from(data["appearance"]),
@@ -70,6 +73,7 @@ def save_patch(folder: Path, key: str, record: PatchRecord) -> None:
         "metres_per_pixel": np.array(record.metres_per_pixel),
         "resolved_wavelength_m": np.array(record.resolved_wavelength_m),
         "height_source": np.array(record.height_source),
+        "height_peak_to_peak_m": np.array(record.height_peak_to_peak_m),
         "token": empty if record.token is None else record.token,
         "known": empty.astype(bool) if record.known is None else record.known,
         "appearance": _appearance_row(record.appearance),

@@ -1,0 +1,212 @@
+"""Bad input: one clear line, exit code 1, the other strokes delivered, nothing that was saved harmed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import bpy
+import pytest
+from builders import add_mesh, add_plane, datablock_names
+from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, set_keys, touch
+
+from hnf_blender import props
+from hnf_blender.cli import main
+from hnf_blender.touch.lock import folder_lock
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(autouse=True)
+def stroke_properties(empty_file):
+    if not hasattr(bpy.types.Object, "hnf_stroke"):
+        props.register()
+
+
+def good_and_bad(tmp_path, spoil) -> tuple[int, dict, Path]:
+    """A good stroke on the plate beside a spoilt one; spoil makes the second."""
+    ridge_plate()
+    line_stroke("Good")
+    spoil()
+    code, report = touch(save_scene(tmp_path / "scene.blend"), tmp_path / "out")
+    return code, report, tmp_path / "out"
+
+
+def hidden_object():
+    add_plane("Veil", 0.1, z=0.5).hide_render = True
+    line_stroke("Bad", centre=(0, 0, 0.5), surface=bpy.data.objects["Veil"])
+
+
+def empty_mesh():
+    nothing = add_mesh("Hollow", [(0, 0, 0.5)], [])
+    line_stroke("Bad", centre=(0, 0, 0.5), surface=nothing)
+
+
+def missing_texture():
+    plane = add_plane("Photo", 0.1, z=0.5)
+    material = bpy.data.materials.new("Printed")
+    material.use_nodes = True
+    nodes = material.node_tree.nodes
+    shader = next(node for node in nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
+    texture = nodes.new("ShaderNodeTexImage")
+    image = bpy.data.images.new("lost", 4, 4)
+    image.source, image.filepath = "FILE", "//nowhere/lost.png"
+    texture.image = image
+    material.node_tree.links.new(texture.outputs["Color"], shader.inputs["Base Color"])
+    plane.data.materials.append(material)
+    line_stroke("Bad", centre=(0, 0, 0.5), surface=plane)
+
+
+def touches_nothing():
+    line_stroke("Bad", centre=(0, 0, 2.0), surface=bpy.data.objects[PLATE])
+
+
+def no_force():
+    line_stroke("Bad", force=0.0)
+
+
+def not_a_number():
+    stroke = line_stroke("Bad")
+    set_keys(stroke, "force", (5.0, 1.0))
+    from hnf_blender import compat
+
+    fcurve = next(f for f in compat.fcurves_of(stroke) if f.data_path.endswith("force"))
+    fcurve.keyframe_points[2].co[1] = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (hidden_object, ("Veil", "hidden", "Show it")),
+        (empty_mesh, ("Hollow", "no faces")),
+        (missing_texture, ("Photo", "Printed", "lost")),
+        (touches_nothing, ("Bad", "touches nothing", PLATE)),
+        (no_force, ("Bad", "force is 0")),
+        (not_a_number, ("Bad", "not a number", "frame")),
+    ],
+    ids=lambda value: getattr(value, "__name__", ""),
+)
+def test_one_bad_stroke_does_not_lose_the_others(tmp_path, capsys, spoil, words) -> None:
+    code, report, out = good_and_bad(tmp_path, spoil)
+    assert code == 1
+    assert [entry["name"] for entry in report["strokes"]] == ["Good"]
+    assert (out / report["strokes"][0]["wav"]).is_file()
+    assert [entry["stroke"] for entry in report["failed"]] == ["Bad"]
+    errors = [line for line in capsys.readouterr().err.splitlines() if line.startswith("hnf:")]
+    assert len(errors) == 1
+    for word in words:
+        assert word in errors[0]
+
+
+@pytest.mark.parametrize("content", [None, b"", b"not a blend file at all", b"BLENDER-v500 cut short"])
+def test_a_scene_that_cannot_be_opened(tmp_path, capsys, content) -> None:
+    scene = tmp_path / "broken.blend"
+    if content is not None:
+        scene.write_bytes(content)
+    code, report = touch(scene, tmp_path / "out")
+    assert code == 1
+    assert report == {}
+    assert "broken.blend" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_unknown_names_are_answered_with_what_is_there(tmp_path, capsys) -> None:
+    ridge_plate()
+    scene = save_scene(tmp_path / "scene.blend")
+    assert touch(scene, tmp_path / "a", "--stroke", "rub-slow", "--on", "Plat")[0] == 1
+    assert f"'{PLATE}'" in capsys.readouterr().err
+    assert touch(scene, tmp_path / "b", "--stroke", "rub-slow", "--on", f"{PLATE}:7")[0] == 1
+    assert "Its slots: 0" in capsys.readouterr().err
+    assert touch(scene, tmp_path / "c", "--material", f"{PLATE}=unobtainium")[0] == 1
+    assert "unobtainium" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--stroke", "rub-slow"),
+        ("--on", PLATE),
+        ("--stroke", "wave", "--on", PLATE),
+        ("--scale", "-1"),
+        ("--material", "x"),
+    ],
+)
+def test_wrong_usage_is_exit_code_2(tmp_path, words) -> None:
+    assert main(["touch", str(tmp_path / "scene.blend"), "--out", str(tmp_path / "out"), *words]) == 2
+
+
+def test_an_output_folder_below_a_file(tmp_path, capsys) -> None:
+    ridge_plate()
+    scene = save_scene(tmp_path / "scene.blend")
+    (tmp_path / "file").write_text("here first")
+    assert touch(scene, tmp_path / "file" / "out")[0] == 1
+    assert "--out" in capsys.readouterr().err
+    assert (tmp_path / "file").read_text() == "here first"
+
+
+def test_a_second_run_on_a_folder_in_use_leaves(tmp_path, capsys) -> None:
+    ridge_plate()
+    line_stroke("Good")
+    scene = save_scene(tmp_path / "scene.blend")
+    with folder_lock(tmp_path / "out"):
+        assert touch(scene, tmp_path / "out")[0] == 1
+    assert "another run" in capsys.readouterr().err
+    assert touch(scene, tmp_path / "out")[0] == 0
+
+
+def test_no_open_file_is_never_the_start_up_scene(tmp_path, capsys) -> None:
+    bpy.ops.wm.read_factory_settings()
+    assert main(["touch", "--out", str(tmp_path / "out")]) == 1
+    assert "no file is open" in capsys.readouterr().err
+
+
+def test_the_open_file_is_left_as_it_was(tmp_path) -> None:
+    ridge_plate()
+    line_stroke("Good")
+    hidden_object()
+    scene = save_scene(tmp_path / "scene.blend")
+    bpy.ops.wm.open_mainfile(filepath=str(scene))
+    before, saved = datablock_names(), scene.read_bytes()
+    assert main(["touch", "--out", str(tmp_path / "out")]) == 1
+    assert datablock_names() == before
+    assert scene.read_bytes() == saved
+    assert bpy.data.filepath == str(scene)
+
+
+def test_a_failed_run_keeps_the_results_of_the_one_before(tmp_path) -> None:
+    ridge_plate()
+    line_stroke("Good")
+    scene, out = save_scene(tmp_path / "scene.blend"), tmp_path / "out"
+    _, report = touch(scene, out)
+    wav = out / report["strokes"][0]["wav"]
+    kept = wav.read_bytes()
+    scene.write_bytes(b"damaged")
+    assert touch(scene, out)[0] == 1
+    assert wav.read_bytes() == kept
+    assert touch(scene, out)[1]["strokes"] == report["strokes"]
+
+
+def test_stopping_half_way_keeps_what_is_finished(tmp_path) -> None:
+    ridge_plate()
+    for number in range(8):
+        line_stroke(f"Scrape {number}", centre=(0, -0.04 + 0.01 * number, 0))
+    scene, out = save_scene(tmp_path / "scene.blend"), tmp_path / "out"
+    words = ["touch", str(scene), "--out", str(out)]
+    program = f"import sys; from hnf_blender.cli import main; sys.exit(main({words!r}))"
+    run = subprocess.Popen([sys.executable, "-c", program], cwd=ROOT, stderr=subprocess.PIPE, stdout=subprocess.PIPE)
+    deadline = time.monotonic() + 120
+    while not list(out.glob("*.wav")) and run.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.kill(run.pid, signal.SIGINT)
+    _, errors = run.communicate(timeout=120)
+    assert run.returncode == 1, errors.decode()
+    finished = list(out.glob("*.wav"))
+    assert 1 <= len(finished) < 8
+    code, report = touch(scene, out)
+    assert code == 0
+    assert sum(entry["fresh"] for entry in report["strokes"]) >= len(finished) - 1
+    assert len(report["strokes"]) == 8
+    assert not list(out.glob(".*.wav"))
