@@ -17,7 +17,7 @@ from hnf_blender.bridge.importers import open_scene, size_warning
 
 REPOSITORY = Path(__file__).parents[2]
 TOOL = REPOSITORY / "tools" / "make_demo_scene.py"
-GRAIN = {"Corduroy": 2.2e-3, "Linen book cloth": 0.9e-3}
+WALE_M = 2.2e-3
 
 
 def tool():
@@ -161,3 +161,21 @@ def test_building_twice_gives_the_same_scene() -> None:
 
     module = tool()
     assert content() == content()
+
+
+def test_a_close_up_of_the_cushion_measures_its_wales(scene) -> None:
+    from hnf_blender.bridge.closeup import render_closeup
+    from hnf_core.scene.patch import Patch
+
+    cushion, pixels = scene.objects["Cushion"], 256
+    _, place, normal, _ = cushion.closest_point_on_mesh(Vector((0.0, 0.0, 0.2)))
+    across = np.cross([0.0, 1.0, 0.0], normal)
+    patch = Patch(np.array(place), across / np.linalg.norm(across), np.array(normal), 0)
+    height = render_closeup(cushion, patch, pixels=pixels).height
+    assert 50e-6 < height.std() < 100e-6
+    window = np.hanning(pixels)
+    power = np.abs(np.fft.rfft(height * window, axis=1, n=16 * pixels)).mean(axis=0)
+    per_metre = np.fft.rfftfreq(16 * pixels, patch.size_m / pixels)
+    tone = per_metre[np.argmax(power * (per_metre > 200.0))]
+    # The sides of the cushion are drawn in by 7.5 %, and its wales with them.
+    assert 1.0 / tone == pytest.approx(0.925 * WALE_M, rel=0.02)
