@@ -12,7 +12,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from conftest import add_plane, add_sphere, float_image
+from builders import add_plane, add_sphere, float_image
 
 from hnf_blender.bridge.importers import metres_per_unit, missing_image, open_scene, size_warning
 from hnf_blender.bridge.ply_header import read_ply_header
