@@ -1,9 +1,9 @@
 """The steady stroke to first order: what linear contact makes of a texture. Physics-shaped input of the field.
 
 Three axes add in power, as DFT321 fuses them: the normal acceleration through contact.height_response; friction, which
-carries μ times the same force fluctuation sideways; and the load leaning on the slopes, F ∇h / m, on a mass that the
-hand holds. A network fed with this has only hopping, creep and saturation left to learn; the bare token made it learn
-a shift of 200 bands with speed and direction, which a small ReLU net does badly.
+carries μ times the same force fluctuation sideways; and the load leaning on the slopes, F ∇h / m, more so against the
+motion, on a mass that the hand holds. A network fed with this has only hopping, creep and saturation left to learn; the
+bare token made it learn a shift of 200 bands with speed and direction, which a small ReLU net does badly.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..material.contact import height_response, resonance_hz, tip_response, with_defaults
+from ..material.contact import contact_radius, height_response, resonance_hz, tip_response, with_defaults
 from ..material.mechanics import PROBES, Mechanics
 from .carriers import ARC_PER_OCTAVE, Carriers
 from .linear_texture import cut, texture_of
@@ -28,6 +28,9 @@ HAND_DAMPING_RATIO = 0.4
 """Lateral impedance of a hand that holds a tool (A. Z. Hajian & R. D. Howe 1997, J. Biomech. Eng. 119)."""
 ASPERITY_SHARE = 0.5
 """Radius of the spots that carry the load, over the Hertz radius (J. F. Archard 1957): they meet the slopes."""
+FLANK_FRICTION = 3.0
+"""Rise of friction per unit of slope against the motion under a sharp tip, times (1 − a/R)² for a contact of radius a.
+These four are the simulator's own constants (a test holds them equal)."""
 
 
 @dataclass(frozen=True)
@@ -75,21 +78,25 @@ def linear_contact(condition: Condition, carriers: Carriers) -> LinearContact:
     texture = texture_of(condition.tokens, condition.direction, carriers)
     # One row per distinct load of a material would do; rows are few, so each is computed.
     passed, leaned, response = (np.zeros((len(speed), len(kappa))) for _ in range(3))
-    friction, resonance = np.zeros(len(speed)), np.zeros(len(speed))
+    friction, resonance, flank = (np.zeros(len(speed)) for _ in range(3))
     omega = 2.0 * np.pi * kappa * speed[:, None]
     for index, mechanics in enumerate(condition.mechanics):
         rows = np.flatnonzero(condition.material == index)
         load = force[rows, None]
         passed[rows] = np.square(tip_response(kappa, mechanics, probe, load))
-        leaned[rows] = np.square(2.0 * np.pi * kappa * tip_response(ASPERITY_SHARE * kappa, mechanics, probe, load))
+        leaned[rows] = np.square(tip_response(ASPERITY_SHARE * kappa, mechanics, probe, load))
         response[rows] = np.square(np.abs(height_response(kappa * speed[rows, None], mechanics, probe, load)))
         friction[rows] = with_defaults(mechanics).friction
         resonance[rows] = resonance_hz(mechanics, probe, force[rows])
+        share = contact_radius(mechanics, probe, force[rows]) / probe.tip_radius_m
+        flank[rows] = np.square(1.0 + FLANK_FRICTION * np.square(1.0 - share)) - 1.0
     hand = HAND_STIFFNESS_N_M / probe.mass_kg
     lateral = omega**4 / (np.square(hand - omega**2) + 4.0 * HAND_DAMPING_RATIO**2 * hand * omega**2)
     fade = np.square(arc_gain(kappa, speed))
     normal = cut(texture, passed, carriers) * response * fade
-    slopes = cut(texture, leaned, carriers) * lateral * np.square(force / probe.mass_kg)[:, None] * fade
+    wave = np.square(2.0 * np.pi * kappa)
+    slopes = cut(texture, leaned * wave, carriers) + flank[:, None] * wave * cut(texture, leaned, carriers)
+    slopes *= lateral * np.square(force / probe.mass_kg)[:, None] * fade
     return LinearContact(normal * (1.0 + np.square(friction))[:, None] + slopes, normal.sum(axis=1), resonance)
 
 

@@ -132,7 +132,7 @@ def fit(config: FieldConfig, data: TrainingSet, schedule: Schedule, seed: int) -
     for epoch in range(schedule.epochs):
         order = torch.randperm(count, generator=generator)
         total = 0.0
-        for rows in torch.tensor_split(order, range(schedule.batch, count, schedule.batch)):
+        for rows in torch.tensor_split(order, tuple(range(schedule.batch, count, schedule.batch))):
             variant = torch.randint(variants, (len(rows),), generator=generator)
             turn = torch.rand(len(rows), generator=generator) * (2.0 * math.pi)
             x = turned(data.x[variant, rows], turn)

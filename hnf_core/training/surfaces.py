@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,8 +57,19 @@ def random_surfaces(count: int, seed: int) -> list[Surface]:
     return surfaces
 
 
-def recipe_surface(name: str, recipe: SurfaceRecipe, seed: int, mechanics: Mechanics | None) -> Surface:
-    return make_surface(name, height_map(recipe, seed), mechanics)
+def library_surfaces(path: Path, draws: int) -> list[Surface]:
+    """draws tiles of every material in a library file, the first with its own seed, each with its own mechanics."""
+    entries = json.loads(path.read_text(encoding="utf-8"))
+    entries = entries["materials"] if isinstance(entries, dict) else entries
+    return [
+        make_surface(
+            entry["name"],
+            height_map(SurfaceRecipe.from_dict(entry["recipe"]), int(entry["seed"]) + draw),
+            Mechanics(**entry["mechanics"]),
+        )
+        for entry in entries
+        for draw in range(draws)
+    ]
 
 
 def fuse(low: NDArray[np.float32], high: NDArray[np.float32], border_per_m: float) -> NDArray[np.float32]:
