@@ -10,22 +10,23 @@ from hnf_core import __version__
 from hnf_core.cli.touch import TouchRequest
 from hnf_core.errors import HnfError, SceneError
 from hnf_core.files import content_hash
-from hnf_core.material.library import library_hash
+from hnf_core.material.library import LIBRARY_PATH, find
 from hnf_core.material.token import ENCODER_ID
 
+from ..bridge.boxes import neighbours_hash_parts
 from ..bridge.hashes import material_hash
 from ..bridge.importers import size_warning
 from ..bridge.meshes import Surface, mesh_hash, surface_mesh
 from ..bridge.nearest_surface import is_visible
-from ..bridge.placement import touchable_slots
+from ..bridge.placement import default_slots, place_primitive
 from ..bridge.stage import looks_at_world
 from ..bridge.strokes import SceneStroke, read_stroke, stroke_hash, stroke_objects
 from .bake import PATCH_PIXELS, SENSOR, TouchedObject
-from .report import Failed, Skipped
+from .report import Counts, Failed, Skipped
 from .store import STORE_VERSION
 from .targets import Target, resolve_target
 
-DEFAULT_PRIMITIVE = "left-right-soft"
+DEFAULT_PRIMITIVE = "default"
 
 
 @dataclass(frozen=True)
@@ -62,10 +63,12 @@ class Session:
         self.scene, self.view_layer, self.metres_per_unit, self.request = scene, view_layer, metres_per_unit, request
         self._surfaces: dict[str, Surface] = {}
         self._touched: dict[str, TouchedObject] = {}
-        self._choices = [(resolve_target(scene, choice.target), choice.material) for choice in request.choices]
-        self._common = content_hash(
-            __version__, field_id, library_hash(), ENCODER_ID, f"{PATCH_PIXELS} {SENSOR} {STORE_VERSION}",
-        )  # fmt: skip
+        self._choices = [
+            (resolve_target(scene, choice.target), find(choice.material).name) for choice in request.choices
+        ]
+        library = content_hash(LIBRARY_PATH.read_bytes())
+        made_by = f"{__version__} {PATCH_PIXELS} {SENSOR} {STORE_VERSION}"
+        self._common = content_hash(field_id, library, ENCODER_ID, made_by)
 
     @property
     def depsgraph(self) -> Any:
@@ -109,6 +112,15 @@ class Session:
     def read(self, curve: Any) -> SceneStroke:
         return read_stroke(curve, self.scene, self.depsgraph, self.metres_per_unit, surfaces=self.surface)
 
+    def place(self, obj: Any, job: Job, counts: Counts) -> Any:
+        """The job's primitive as a stroke object of the scene, like one drawn by hand."""
+        placed = place_primitive(
+            self.scene, obj, job.slot, job.primitive, self.metres_per_unit, self.depsgraph,
+            seed=job.seed, name=job.name, surfaces=self.surface,
+        )  # fmt: skip
+        counts.rays += placed.rays
+        return placed.curve
+
     def job_of_curve(self, curve: Any) -> Job:
         stroke = self.read(curve)
         touched = self.touched(self.scene.objects[stroke.object_name])
@@ -119,7 +131,8 @@ class Session:
     def job_to_place(self, name: str, target: Target, primitive: str) -> Job:
         touched = self.touched(self.scene.objects[target.object_name])
         seed = self.seed(0)
-        key = self._key(touched, "placed", f"{primitive} {target.slot} {seed}")
+        around = neighbours_hash_parts(touched.obj, self.scene, self.depsgraph, self.metres_per_unit)
+        key = self._key(touched, "placed", f"{primitive} {target.slot} {seed}", *around)
         return Job(name, target.object_name, key, seed, primitive=primitive, slot=target.slot)
 
     def _key(self, touched: TouchedObject, *parts: str) -> str:
@@ -147,10 +160,10 @@ def gather(session: Session) -> Gathered:
         )  # fmt: skip
     if not found.jobs and not found.failed:
         found.notes.append(
-            f"no stroke in the scene and none asked for: one default stroke ({DEFAULT_PRIMITIVE}) per material."
+            "no stroke in the scene and none asked for: one default stroke (left to right, 100 mm/s, 1 N) per material."
         )
-        for obj, slot, material in touchable_slots(scene):
-            name = _unique(f"default on {obj.name}" + (f" {material}" if len(obj.material_slots) > 1 else ""), found)
+        for obj, slot, material in default_slots(scene, session.depsgraph):
+            name = _unique(f"{DEFAULT_PRIMITIVE} on {material or obj.name}", found)
             _try(
                 found, name,
                 lambda obj=obj, slot=slot, name=name: session.job_to_place(

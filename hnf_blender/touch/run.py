@@ -19,7 +19,6 @@ from hnf_core.field.weights import load_field
 from hnf_core.files import content_hash
 
 from ..bridge.importers import metres_per_unit, open_scene
-from ..bridge.placement import place_primitive
 from .bake import TouchedObject
 from .deliver import deliver, save_baked
 from .feel import BakedStroke, bake_stroke, feel
@@ -174,11 +173,9 @@ def _bake(session: Session, job: Job, report: Report) -> BakedStroke:
     stroke = job.stroke
     if stroke is None:
         obj = session.scene.objects[job.object_name]
-        placed = place_primitive(
-            session.scene, obj, job.slot, job.primitive, session.metres_per_unit, seed=job.seed, name=job.name
-        )
-        report.counts.rays += placed.rays
-        stroke = session.read(placed.curve)
+        with _timed(report, "place_s"):
+            curve = session.place(obj, job, report.counts)
+        stroke = session.read(curve)
     touched: TouchedObject = session.touched(session.scene.objects[stroke.object_name])
     baked = bake_stroke(
         stroke, touched, session.choices(stroke.object_name), session.request.out / CACHE_NAME, report.counts
