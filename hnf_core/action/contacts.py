@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from ..errors import SceneError, StrokeError
 from ..scene.mesh import TriangleMesh
-from ..scene.raycast import Closest
 from .deforming import DeformingMesh, to_rest
 from .nearest import nearest_on_triangles
 
@@ -100,7 +99,7 @@ def find_contacts(
         relative = at_rest = path_velocity
         tangent = samples.tangent
     corners = mesh.vertices[mesh.triangles[hit.triangle]]
-    normal = interpolated_normals(mesh.normals[hit.triangle], corners, hit)
+    normal = interpolated_normals(mesh.normals[hit.triangle], corners, hit.barycentric)
     uv_tangent, uv_known = tangents(corners, None if mesh.uv is None else mesh.uv[hit.triangle], normal)
     velocity = _along_surface(at_rest, np.linalg.norm(relative, axis=1), normal)
     return Contacts(
@@ -121,9 +120,9 @@ def find_contacts(
     )
 
 
-def interpolated_normals(normals: Float, corners: Float, hit: Closest) -> Float:
+def interpolated_normals(normals: Float, corners: Float, barycentric: Float) -> Float:
     """Unit normals (n, 3) at barycentric places from corner normals (n, 3, 3); where they cancel, the facet's own."""
-    blended = np.einsum("nc,ncx->nx", hit.barycentric, normals)
+    blended = np.einsum("nc,ncx->nx", barycentric, normals)
     size = np.linalg.norm(blended, axis=1)
     facet = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     blended = np.where(size[:, None] > 1e-6, blended, facet)

@@ -56,6 +56,8 @@ PRIMITIVES = {
 PRIMITIVE_NAMES = tuple(PRIMITIVES)
 DEFAULT_PRIMITIVE = Primitive("default", "scrape", _RIGHT, 1.0, SCRAPE_SPEED_M_S)
 """What touches a material nobody drew a stroke on: a scrape at 100 mm/s and 1 N, where real data is tabulated."""
+DEFAULT_DOWN = Primitive("default-down", "scrape", _DOWN, 1.0, SCRAPE_SPEED_M_S)
+"""The same from top to bottom, for what is long only that way (a hose)."""
 
 
 @dataclass(frozen=True)
@@ -76,9 +78,10 @@ class PlanarPath:
 
 
 def find_primitive(name: str) -> Primitive:
-    """The primitive of this name (or "default"). Raises UsageError, listing the names."""
-    if name == DEFAULT_PRIMITIVE.name:
-        return DEFAULT_PRIMITIVE
+    """The primitive of this name (or "default", "default-down"). Raises UsageError, listing the names."""
+    for default in (DEFAULT_PRIMITIVE, DEFAULT_DOWN):
+        if name == default.name:
+            return default
     if name not in PRIMITIVES:
         raise UsageError(f"there is no stroke called '{name}'.", remedy=f"Choose one of {', '.join(PRIMITIVES)}.")
     return PRIMITIVES[name]
@@ -101,20 +104,23 @@ def primitive_path(name: str, *, size_m: float = SCRAPE_LENGTH_M, seed: int = 0)
         distance = primitive.speed * (RUB_DURATION_S - PRESS_S - RAMP_S)
         extent = min(size_m, RUB_EXTENT_M)
         points = _rub_points(distance, extent, np.random.default_rng(seed))
-    travel = eased_travel(distance, primitive.speed, RAMP_S, start_s=PRESS_S / 2)
-    progress = Keys(travel.time, travel.value / distance, travel.slope / distance)
-    duration = float(travel.time[-1]) + PRESS_S / 2
-    press = min(PRESS_S, duration / 2)
-    force = Keys(
-        np.array([0.0, press, duration - press, duration])[_distinct(press, duration)],
-        np.array([0.0, primitive.force, primitive.force, 0.0])[_distinct(press, duration)],
-        np.zeros(4)[_distinct(press, duration)],
-    )
+    progress, force, duration = primitive_keys(primitive, distance)
     return PlanarPath(points, primitive.kind == "rub", progress, force, duration, extent)
 
 
-def _distinct(press: float, duration: float) -> list[int]:
-    return [0, 1, 2, 3] if duration - 2 * press > 1e-9 else [0, 1, 3]
+def primitive_keys(primitive: Primitive, distance_m: float) -> tuple[Keys, Keys, float]:
+    """Keys of progress (0–1) and force (N), and the duration (s), of a primitive on a path of this length."""
+    travel = eased_travel(distance_m, primitive.speed, RAMP_S, start_s=PRESS_S / 2)
+    progress = Keys(travel.time, travel.value / distance_m, travel.slope / distance_m)
+    duration = float(travel.time[-1]) + PRESS_S / 2
+    press = min(PRESS_S, duration / 2)
+    keep = [0, 1, 2, 3] if duration - 2 * press > 1e-9 else [0, 1, 3]
+    force = Keys(
+        np.array([0.0, press, duration - press, duration])[keep],
+        np.array([0.0, primitive.force, primitive.force, 0.0])[keep],
+        np.zeros(len(keep)),
+    )
+    return progress, force, duration
 
 
 def _rub_points(distance: float, extent: float, rng: np.random.Generator) -> Float:

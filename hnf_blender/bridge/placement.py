@@ -1,0 +1,311 @@
+"""Primitives placed on surfaces as real, editable stroke objects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hnf_core.action.bezier import smooth_curve, smooth_handles
+from hnf_core.action.curves import by_arc_length
+from hnf_core.action.keys import Keys
+from hnf_core.action.placing import MARGIN, OPENNESS_M, Spot, fits, in_space, lay, spots
+from hnf_core.action.primitives import find_primitive, path_curve, primitive_keys, primitive_path
+from hnf_core.errors import SceneError
+from hnf_core.scene.raycast import Hits, RayCaster
+
+from .. import compat
+from .meshes import Surface, ray_caster, surface_mesh
+from .nearest_surface import is_visible
+
+Float = NDArray[np.float64]
+Surfaces = Callable[[Any], Surface]
+
+KNOT_M = 2e-3
+"""Distance of the placed curve's knots: close enough to follow a surface, few enough to edit."""
+TRIED = 200
+MIN_KEY_FRAMES = 0.05
+
+
+@dataclass(frozen=True)
+class Placed:
+    """curve: the new stroke object. primitive: what it is (of "default", the direction that fits longer). size_m: what
+    fitted there. rays: cast to find the place."""
+
+    curve: Any
+    primitive: str
+    size_m: float
+    rays: int
+
+
+def touchable_slots(scene: Any, depsgraph: Any = None) -> list[tuple[Any, int, str]]:
+    """(object, slot, material name or "") of every slot with faces on the scene's visible mesh objects, by object
+    name and slot."""
+    return [(obj, slot, material) for obj, slot, material, _ in _slots(scene, depsgraph)]
+
+
+def default_slots(scene: Any, depsgraph: Any = None) -> list[tuple[Any, int, str]]:
+    """touchable_slots, but each material once: where it covers the most. Slots without a material count by object."""
+    best: dict[tuple[str, str], tuple[Any, int, str, float]] = {}
+    for found in _slots(scene, depsgraph):
+        obj, _, material, area = found
+        key = (material, "" if material else str(obj.name))
+        if key not in best or area > best[key][3]:
+            best[key] = found
+    chosen = sorted(best.values(), key=lambda found: (str(found[0].name), found[1]))
+    return [(obj, slot, material) for obj, slot, material, _ in chosen]
+
+
+def _slots(scene: Any, depsgraph: Any) -> list[tuple[Any, int, str, float]]:
+    """With each slot's area in square Blender units."""
+    depsgraph = depsgraph or _current_depsgraph()
+    found = []
+    for obj in sorted(scene.objects, key=lambda obj: str(obj.name)):
+        if obj.type != "MESH" or not is_visible(obj, depsgraph.view_layer):
+            continue
+        evaluated = obj.evaluated_get(depsgraph)
+        polygons = evaluated.data.polygons
+        if len(polygons) == 0:
+            continue
+        index, area = np.empty(len(polygons), dtype=np.int32), np.empty(len(polygons), dtype=np.float32)
+        polygons.foreach_get("material_index", index)
+        polygons.foreach_get("area", area)
+        slots = evaluated.material_slots
+        scale = abs(float(np.linalg.det(np.array(evaluated.matrix_world)[:3, :3]))) ** (2.0 / 3.0) or 1.0
+        covered = np.bincount(np.clip(index, 0, max(len(slots), 1) - 1), weights=area) * scale
+        for slot in np.flatnonzero(covered > 0.0):
+            material = slots[slot].material if slot < len(slots) else None
+            found.append((obj, int(slot), str(material.name) if material else "", float(covered[slot])))
+    return found
+
+
+def _current_depsgraph() -> Any:
+    import bpy
+
+    return bpy.context.evaluated_depsgraph_get()
+
+
+def place_primitive(
+    scene: Any,
+    obj: Any,
+    slot: int | None,
+    primitive: str,
+    metres_per_unit: float,
+    depsgraph: Any = None,
+    *,
+    seed: int = 0,
+    start_frame: float = 1.0,
+    name: str = "",
+    surfaces: Surfaces | None = None,
+) -> Placed:
+    """A new stroke object with a primitive on the best place of a slot (None: the slot with the largest area).
+
+    primitive: one of the eight names, or "default" (100 mm/s, 1 N, left to right; top to bottom where that has more
+    room). The curve is parented to obj, lies on its surface and carries keyframes of force and progress, so that an
+    artist can go on from there. Left → right runs along the surface's own tangent. surfaces: object → Surface,
+    for a caller that keeps them. Raises UsageError for an unknown name and
+    SceneError naming the object where nothing fits.
+    """
+    depsgraph = depsgraph or _current_depsgraph()
+    surfaces = surfaces or (lambda touched: surface_mesh(touched, depsgraph, metres_per_unit))
+    find_primitive(primitive)
+    where = f"object '{obj.name}'"
+    if not is_visible(obj, depsgraph.view_layer):
+        raise SceneError("it is hidden.", where=where, remedy="Show it in the viewport and in renders.")
+    surface = surfaces(obj)
+    if slot is None:
+        slot = int(np.argmax(_slot_areas(surface)))
+    caster = _Counting(ray_caster(surface.mesh))
+    above = _Neighbours(scene, obj, surface, depsgraph, metres_per_unit, surfaces)
+    names = ("default", "default-down") if primitive == "default" else (primitive,)
+    found = [(each, _best_spot(surface, caster, slot, each, seed, above)) for each in names]
+    fitting = [(each, spot) for each, spot in found if spot is not None]
+    if not fitting:
+        material = surface.materials[slot] if slot < len(surface.materials) else ""
+        raise SceneError(
+            f"no place on its material slot {slot} ({material or 'no material'}) is flat, free and large enough for "
+            f"'{primitive}'.",
+            where=where,
+            remedy="Draw a curve on it by hand and make it a stroke.",
+        )
+    chosen, spot = max(fitting, key=lambda pair: (pair[1].openness_m, pair[1].size_m))
+    points, cyclic = _points_on(surface, caster, spot, chosen, seed)
+    distance = by_arc_length(smooth_curve(points, cyclic=cyclic)).length
+    stroke = _curve_object(name or f"{primitive} on {obj.name}", points, cyclic, obj, surface, scene)
+    group = stroke.hnf_stroke
+    group.is_stroke, group.law, group.surface = True, "PROGRESS", obj
+    group.start, group.seed = start_frame, seed
+    progress, force, _ = primitive_keys(find_primitive(chosen), distance)
+    per_second = float(scene.render.fps) / float(scene.render.fps_base)
+    for channel, keys in (("progress", progress), ("force", force)):
+        _insert_keys(stroke, channel, keys, start_frame, per_second)
+    return Placed(stroke, chosen, spot.size_m, caster.rays + above.rays)
+
+
+class _Counting:
+    """A ray caster that counts."""
+
+    def __init__(self, caster: RayCaster) -> None:
+        self._caster, self.rays = caster, 0
+
+    def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
+        self.rays += len(np.asarray(origins))
+        return self._caster.cast(origins, directions)
+
+
+def _slot_areas(surface: Surface) -> Float:
+    corners = surface.mesh.corner_positions()
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2.0
+    return np.asarray(np.bincount(surface.mesh.slot, weights=area), dtype=np.float64)
+
+
+def _planar(primitive: str, size_m: float, seed: int) -> tuple[Float, bool]:
+    """A primitive's path as knots (k, 2) about KNOT_M apart, and whether it closes."""
+    path = primitive_path(primitive, size_m=size_m, seed=seed)
+    curve = path_curve(path)
+    count = max(8, int(np.ceil(curve.length / KNOT_M)))
+    s = np.linspace(0.0, curve.length, count + 1)
+    return curve.point_at(s[:-1] if path.cyclic else s), path.cyclic
+
+
+def _best_spot(
+    surface: Surface, caster: RayCaster, slot: int, primitive: str, seed: int, above: _Neighbours
+) -> Spot | None:
+    """The first place whose whole path stays on the slot with nothing of the neighbours in the hand's way; if there
+    is none, the first whose path stays."""
+    second: Spot | None = None
+    for tried, spot in enumerate(spots(surface.mesh, caster, slot, lambda size: _planar(primitive, size, seed)[0])):
+        if tried >= TRIED and second is not None:
+            break
+        frame = _frame(spot)
+        path, _ = _planar(primitive, spot.size_m, seed)
+        fit, height = fits(surface.mesh, caster, slot, frame, MARGIN * path, spot.size_m)
+        if not np.isfinite(fit[0]):
+            continue
+        if above.leave_free(
+            in_space(frame, MARGIN * path, height)[0], spot.normal, min(spot.openness_m, OPENNESS_M[1])
+        ):
+            return spot
+        second = second or spot
+    return second
+
+
+def _frame(spot: Spot) -> tuple[Float, Float, Float]:
+    return spot.centre[None], spot.x_axis[None], spot.normal[None]
+
+
+def _points_on(surface: Surface, caster: RayCaster, spot: Spot, primitive: str, seed: int) -> tuple[Float, bool]:
+    path, cyclic = _planar(primitive, spot.size_m, seed)
+    height, _, _ = lay(surface.mesh, caster, _frame(spot), path, spot.size_m)
+    return in_space(_frame(spot), path, height)[0], cyclic
+
+
+class _Neighbours:
+    """The scene's other visible meshes, looked at only where their bounding boxes come near a path."""
+
+    def __init__(
+        self,
+        scene: Any,
+        obj: Any,
+        surface: Surface,
+        depsgraph: Any,
+        metres_per_unit: float,
+        surfaces: Surfaces,
+    ) -> None:
+        self._rigid, self._surfaces = surface.rigid, surfaces
+        self._casters: dict[str, tuple[Surface, _Counting]] = {}
+        self._boxes: list[tuple[Float, Float, Any]] = []
+        for other in scene.objects:
+            if other == obj or other.type != "MESH" or not is_visible(other, depsgraph.view_layer):
+                continue
+            evaluated = other.evaluated_get(depsgraph)
+            world = np.array(evaluated.matrix_world, dtype=np.float64)
+            corners = np.array([tuple(corner) for corner in evaluated.bound_box]) @ world[:3, :3].T + world[:3, 3]
+            corners *= metres_per_unit
+            self._boxes.append((corners.min(axis=0), corners.max(axis=0), other))
+
+    def leave_free(self, points: Float, normal: Float, height_m: float) -> bool:
+        """Whether nothing stands within height_m above surface-frame points (k, 3), along normal."""
+        turn, shift = self._rigid[:3, :3], self._rigid[:3, 3]
+        start, up = points @ turn.T + shift, turn @ normal
+        ends = np.concatenate([start, start + height_m * up])
+        low, high = ends.min(axis=0), ends.max(axis=0)
+        for box_low, box_high, other in self._boxes:
+            if (box_low > high).any() or (box_high < low).any():
+                continue
+            found = self._caster(other)
+            if found is None:
+                continue
+            surface, caster = found
+            local = (start - surface.rigid[:3, 3]) @ surface.rigid[:3, :3]
+            hits = caster.cast(local, np.tile(up @ surface.rigid[:3, :3], (len(local), 1)))
+            if (hits.distance <= height_m).any():
+                return False
+        return True
+
+    @property
+    def rays(self) -> int:
+        return sum(caster.rays for _, caster in self._casters.values())
+
+    def _caster(self, other: Any) -> tuple[Surface, _Counting] | None:
+        if other.name not in self._casters:
+            try:
+                surface = self._surfaces(other)
+            except SceneError:
+                return None
+            self._casters[other.name] = (surface, _Counting(ray_caster(surface.mesh)))
+        return self._casters[other.name]
+
+
+def _curve_object(name: str, points: Float, cyclic: bool, obj: Any, surface: Surface, scene: Any) -> Any:
+    """A Bézier curve through surface-frame points (k, 3), as a child of obj."""
+    import bpy
+
+    left, right = smooth_handles(points, cyclic=cyclic)
+    to_object = np.linalg.pinv(surface.stretch)
+    curve = bpy.data.curves.new(name, "CURVE")
+    curve.dimensions = "3D"
+    spline = curve.splines.new("BEZIER")
+    spline.bezier_points.add(len(points) - 1)
+    spline.use_cyclic_u = cyclic
+    for kind in ("handle_left_type", "handle_right_type"):
+        for point in spline.bezier_points:
+            setattr(point, kind, "FREE")
+    for attribute, values in (("co", points), ("handle_left", left), ("handle_right", right)):
+        flat = np.ascontiguousarray(values @ to_object.T, dtype=np.float32).ravel()
+        spline.bezier_points.foreach_set(attribute, flat)
+    for kind in ("handle_left_type", "handle_right_type"):
+        for point in spline.bezier_points:
+            setattr(point, kind, "ALIGNED")
+    stroke = bpy.data.objects.new(name, curve)
+    scene.collection.objects.link(stroke)
+    stroke.parent = obj
+    return stroke
+
+
+def _insert_keys(stroke: Any, name: str, keys: Keys, start: float, per_second: float) -> None:
+    """Keyframes whose handles lie a third of the way: the F-curve is then exactly the keys' cubic."""
+    path = f"hnf_stroke.{name}"
+    frames = start + keys.time * per_second
+    keep = [0]
+    for i in range(1, len(frames)):
+        if frames[i] - frames[keep[-1]] >= MIN_KEY_FRAMES:
+            keep.append(i)
+    if keep[-1] != len(frames) - 1:
+        keep[-1] = len(frames) - 1
+    for i in keep:
+        setattr(stroke.hnf_stroke, name, float(keys.value[i]))
+        stroke.keyframe_insert(path, frame=float(frames[i]))
+    fcurve = next(curve for curve in compat.fcurves_of(stroke) if curve.data_path == path)
+    frame, value, slope = frames[keep], keys.value[keep], keys.slope[keep] / per_second
+    width = np.diff(frame) / 3.0
+    before, after = np.r_[width[:1], width], np.r_[width, width[-1:]]
+    for k, point in enumerate(fcurve.keyframe_points):
+        point.interpolation = "BEZIER"
+        point.handle_left_type = point.handle_right_type = "FREE"
+        point.handle_left = (frame[k] - before[k], value[k] - slope[k] * before[k])
+        point.handle_right = (frame[k] + after[k], value[k] + slope[k] * after[k])
+    fcurve.update()

@@ -1,0 +1,276 @@
+"""Primitives placed on planes, spheres, heads and helmets: on their slot, facing out, at their own speed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from builders import add_mesh, add_plane, add_sphere
+
+from hnf_blender.bridge.meshes import ray_caster, surface_mesh
+from hnf_blender.bridge.placement import default_slots, place_primitive, touchable_slots
+from hnf_blender.bridge.strokes import read_stroke, stroke_objects
+from hnf_blender.props import register, unregister
+from hnf_core.action.contacts import find_contacts
+from hnf_core.action.patches import action_from_contacts, plan_patches
+from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES, primitive_action
+from hnf_core.errors import SceneError
+
+HELMET = Path(__file__).resolve().parents[2].parent / "shared/data/scenes/FlightHelmet/FlightHelmet.gltf"
+
+
+@pytest.fixture(autouse=True)
+def stroke_properties(empty_file):
+    register()
+    yield
+    unregister()
+
+
+def graph():
+    return bpy.context.evaluated_depsgraph_get()
+
+
+def place(obj, primitive, slot=None, metres_per_unit=1.0, **keywords):
+    placed = place_primitive(bpy.context.scene, obj, slot, primitive, metres_per_unit, **keywords)
+    bpy.context.view_layer.update()
+    assert placed.rays > 0
+    return placed.curve
+
+
+def act(obj, metres_per_unit=1.0):
+    stroke = read_stroke(obj, bpy.context.scene, graph(), metres_per_unit)
+    mesh = surface_mesh(bpy.data.objects[stroke.object_name], graph(), metres_per_unit).mesh
+    contacts = find_contacts(stroke.samples, stroke.surface(mesh))
+    patches, index = plan_patches(contacts)
+    return stroke, contacts, mesh, action_from_contacts(contacts, patches, index, stroke.probe)
+
+
+def assert_well_placed(obj, slot, *, within=5e-4, outward=0.99):
+    """On the slot all along, on the surface, and looking into the open."""
+    stroke, contacts, mesh, action = act(obj)
+    assert np.mean(contacts.slot == slot) >= 0.99
+    assert contacts.distance.max() < within
+    up = ray_caster(mesh).cast(contacts.point + 1e-3 * contacts.normal, contacts.normal)
+    assert np.mean(up.triangle < 0) >= outward
+    assert np.array_equal(action.contact, contacts.force > 0)
+    return stroke, contacts, action
+
+
+@pytest.mark.parametrize("name", PRIMITIVE_NAMES)
+def test_a_plane_gives_the_primitive_itself(name):
+    obj = place(add_plane(size=0.1), name, seed=3)
+    stroke, contacts, action = assert_well_placed(obj, 0, within=1e-6)
+    expected = primitive_action(name, seed=3)
+    n = min(len(action.speed), len(expected.speed))
+    # A rub is redrawn with closer knots, a scrape is straight either way.
+    near = 5e-2 if name.startswith("rub") else 1e-2
+    assert abs(len(action.speed) - len(expected.speed)) <= 1
+    assert np.allclose(action.speed[:n], expected.speed[:n], atol=near * PRIMITIVES[name].speed)
+    assert np.allclose(action.force[:n], expected.force[:n], atol=near * PRIMITIVES[name].force)
+    moving = expected.speed[:n] > 0.01
+    assert np.allclose(action.direction[:n][moving], expected.direction[:n][moving], atol=5 * near)
+    assert stroke.law == "PROGRESS"
+    assert stroke.seed == 3
+    # In the middle: no closer to the border than need be.
+    assert np.abs(contacts.point[:, :2]).max() < 0.035
+
+
+def test_stroke_is_an_editable_child():
+    plane = add_plane(size=0.1)
+    obj = place(plane, "left-right-soft", start_frame=12)
+    assert obj.parent == plane
+    assert obj.hnf_stroke.surface == plane
+    assert stroke_objects(bpy.context.scene) == [obj]
+    before = act(obj)[3]
+    plane.location, plane.rotation_euler = (1, 2, 3), (0.3, 0.2, 2.0)
+    bpy.context.view_layer.update()
+    after = act(obj)[3]
+    assert np.allclose(before.speed, after.speed, atol=1e-6)
+    assert np.allclose(before.direction, after.direction, atol=1e-5)
+    stroke = act(obj)[0]
+    assert stroke.frames[0] == 12
+    from hnf_blender import compat
+
+    for fcurve in compat.fcurves_of(obj):
+        for point in fcurve.keyframe_points:
+            point.co[1] *= 2 if fcurve.data_path.endswith("force") else 1
+            point.handle_left[1] *= 2 if fcurve.data_path.endswith("force") else 1
+            point.handle_right[1] *= 2 if fcurve.data_path.endswith("force") else 1
+    assert act(obj)[3].force.max() == pytest.approx(1.0, rel=1e-5)
+
+
+def test_the_default_takes_the_longer_way():
+    """On a narrow strip along the surface's y it runs from top to bottom."""
+    strip = add_mesh(
+        "Strip",
+        [(-0.008, -0.1, 0), (0.008, -0.1, 0), (0.008, 0.1, 0), (-0.008, 0.1, 0)],
+        [(0, 1, 2, 3)],
+        uv=lambda co: co[:2],
+    )
+    placed = place_primitive(bpy.context.scene, strip, 0, "default", 1.0, name="Mine")
+    bpy.context.view_layer.update()
+    assert placed.primitive == "default-down"
+    assert placed.curve.name == "Mine"
+    action = act(placed.curve)[3]
+    assert np.allclose(action.direction, [0, -1], atol=1e-3)
+    assert action.position[-1] == pytest.approx(0.06, rel=1e-3)
+
+
+def test_default_is_a_scrape_at_100_mm_s_and_1_newton():
+    action = act(place(add_plane(size=0.1), "default"))[3]
+    assert action.speed.max() == pytest.approx(0.1, rel=2e-3)
+    assert action.force.max() == pytest.approx(1.0, rel=1e-5)
+
+
+@pytest.mark.parametrize("name", ["left-right-hard", "diagonal-soft", "rub-fast"])
+def test_small_surfaces_shorten_the_stroke_and_keep_its_speed(name):
+    stroke, contacts, action = assert_well_placed(place(add_plane(size=0.02), name), 0, within=1e-6)
+    assert np.abs(contacts.point[:, :2]).max() <= 0.01
+    assert action.speed.max() == pytest.approx(PRIMITIVES[name].speed, rel=5e-3)
+    assert action.force.max() == pytest.approx(PRIMITIVES[name].force, rel=1e-5)
+    assert stroke.length_m < 0.0283 or name == "rub-fast"
+
+
+@pytest.mark.parametrize("name", ["left-right-soft", "top-bottom-hard", "rub-slow"])
+def test_sphere(name):
+    _, contacts, action = assert_well_placed(place(add_sphere(radius=0.08), name), 0)
+    assert action.speed.max() == pytest.approx(PRIMITIVES[name].speed, rel=1e-2)
+    assert np.all(np.einsum("nx,nx->n", contacts.normal, contacts.point) > 0)
+
+
+def test_inner_shell_is_left_alone():
+    """A hollow ball with a larger inner material: the outside is touched all the same."""
+    outer, inner = add_sphere("Outer", 0.1), add_sphere("Inner", 0.095)
+    for loop in range(2):
+        outer.data.materials.append(bpy.data.materials.new(f"M{loop}"))
+    inner.data.flip_normals()
+    for polygon in inner.data.polygons:
+        polygon.material_index = 0
+    bpy.context.view_layer.objects.active = outer
+    outer.select_set(True)
+    inner.select_set(True)
+    bpy.ops.object.join()
+    _, contacts, _ = assert_well_placed(place(outer, "left-right-soft"), 0)
+    assert np.linalg.norm(contacts.point, axis=1).min() > 0.098
+
+
+def test_suzanne():
+    bpy.ops.mesh.primitive_monkey_add(size=0.3)
+    for name in ("left-right-soft", "rub-fast"):
+        assert_well_placed(place(bpy.context.object, name), 0, within=1.5e-3)
+
+
+def striped():
+    """Two materials side by side."""
+    xs = np.linspace(-0.1, 0.1, 11)
+    vertices = [(x, y, 0.0) for x in xs for y in (-0.05, 0.05)]
+    obj = add_mesh(
+        "Striped", vertices, [(2 * i, 2 * i + 2, 2 * i + 3, 2 * i + 1) for i in range(10)], uv=lambda co: co[:2]
+    )
+    for name in ("Oak", "Felt"):
+        obj.data.materials.append(bpy.data.materials.new(name))
+    for polygon in obj.data.polygons:
+        polygon.material_index = int(polygon.index >= 4)
+    bpy.context.view_layer.update()
+    return obj
+
+
+def test_slots_are_found_and_kept():
+    obj = striped()
+    add_plane("Hidden").hide_render = True
+    add_plane("Bare", size=0.05)
+    slots = touchable_slots(bpy.context.scene)
+    assert [(each.name, slot, material) for each, slot, material in slots] == [
+        ("Bare", 0, ""),
+        ("Striped", 0, "Oak"),
+        ("Striped", 1, "Felt"),
+    ]
+    for slot, side in ((0, -1), (1, 1)):
+        _, contacts, _ = assert_well_placed(place(obj, "left-right-soft", slot=slot), slot, within=1e-6)
+        assert side * contacts.point[:, 0].mean() > -0.02
+    _, contacts, _ = assert_well_placed(place(obj, "top-bottom-soft"), 1, within=1e-6)
+
+
+def test_one_default_target_per_material():
+    obj = striped()
+    small = add_plane("Small", size=0.02)
+    small.data.materials.append(bpy.data.materials["Oak"])
+    add_plane("Bare A", size=0.05)
+    add_plane("Bare B", size=0.05)
+    assert default_slots(bpy.context.scene) == [
+        (bpy.data.objects["Bare A"], 0, ""),
+        (bpy.data.objects["Bare B"], 0, ""),
+        (obj, 0, "Oak"),
+        (obj, 1, "Felt"),
+    ]
+    small.scale = (20, 20, 20)
+    bpy.context.view_layer.update()
+    assert (small, 0, "Oak") in default_slots(bpy.context.scene)
+
+
+def test_without_uvs_left_to_right_is_the_objects_x():
+    plane = add_mesh("Bare", [(-0.05, -0.05, 0), (0.05, -0.05, 0), (0.05, 0.05, 0), (-0.05, 0.05, 0)], [(0, 1, 2, 3)])
+    _, contacts, action = assert_well_placed(place(plane, "left-right-soft"), 0, within=1e-6)
+    assert not contacts.uv_known.any()
+    assert np.allclose(action.direction, [1, 0], atol=1e-4)
+    assert contacts.point[-1, 0] - contacts.point[0, 0] == pytest.approx(0.06, rel=1e-3)
+
+
+def test_scaled_mirrored_and_centimetre_scenes():
+    plane = add_plane(size=10.0)
+    plane.scale = (1.0, -2.0, 1.0)
+    bpy.context.view_layer.update()
+    obj = place(plane, "diagonal-soft", metres_per_unit=0.01)
+    stroke, contacts, _, action = act(obj, metres_per_unit=0.01)
+    assert stroke.length_m == pytest.approx(0.06, rel=1e-3)
+    assert action.speed.max() == pytest.approx(0.1, rel=5e-3)
+    assert contacts.distance.max() < 1e-6
+    assert np.allclose(action.direction, np.array([1, -1]) / np.sqrt(2), atol=1e-3)
+
+
+def test_a_lid_above_is_avoided():
+    plane = add_plane("Table", size=0.3)
+    lid = add_plane("Lid", size=0.18, z=0.02)
+    lid.location.x = -0.06
+    bpy.context.view_layer.update()
+    _, contacts, _ = assert_well_placed(place(plane, "top-bottom-soft"), 0, within=1e-6)
+    assert contacts.point[:, 0].min() > 0.03
+
+
+def test_same_scene_same_stroke():
+    sphere = add_sphere(radius=0.07)
+    first, second = (place(sphere, "rub-fast", seed=5) for _ in range(2))
+    a, b = act(first)[3], act(second)[3]
+    assert np.array_equal(a.direction, b.direction)
+    assert np.array_equal(a.speed, b.speed)
+    assert first.name != second.name
+
+
+def test_what_cannot_be_touched_is_named():
+    hidden = add_plane("Hidden")
+    hidden.hide_render = True
+    with pytest.raises(SceneError, match="object 'Hidden': it is hidden"):
+        place(hidden, "left-right-soft")
+    spike = add_mesh("Thread", [(0, 0, 0), (0.1, 0, 0), (0.1, 1e-4, 0)], [(0, 1, 2)])
+    with pytest.raises(SceneError, match=r"object 'Thread': no place on its material slot 0 \(no material\).*by hand"):
+        place(spike, "rub-slow")
+
+
+@pytest.mark.skipif(not HELMET.exists(), reason=f"needs {HELMET}")
+def test_flight_helmet():
+    bpy.ops.import_scene.gltf(filepath=str(HELMET))
+    bpy.context.view_layer.update()
+    targets = default_slots(bpy.context.scene)
+    assert len(targets) == 6
+    for target in targets:
+        obj = place(target[0], "default", slot=target[1])
+        stroke, contacts, mesh, action = act(obj)
+        assert np.mean(contacts.slot == target[1]) >= 0.99, target
+        assert contacts.on_surface.mean() >= 0.99, target
+        assert contacts.distance.max() < 1e-3, target
+        assert action.speed.max() == pytest.approx(0.1, rel=0.02), target
+        up = ray_caster(mesh).cast(contacts.point + 1e-3 * contacts.normal, contacts.normal)
+        assert np.mean(up.distance > 0.02) >= 0.95, target
+        assert stroke.length_m >= 0.024, target
