@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +30,7 @@ class LibraryMaterial:
     name: unique, kebab-case ("oak-wood"). category: wood, metal, stone, fabric, paper, plastic, foam, carpet, tile,
     leather, rubber, glass. words: lower-case names and synonyms that artists give such a material.
     appearance: its typical shading values. token: (TOKEN_DIM,) float32, E on its own micro-geometry, x along the
-    grain.
+    grain. recipe, seed: that micro-geometry, as simulation.surface reads it (SurfaceRecipe.from_dict, height_map).
     """
 
     name: str
@@ -37,3 +39,5 @@ class LibraryMaterial:
     appearance: Appearance
     mechanics: Mechanics
     token: NDArray[np.float32]
+    recipe: Mapping[str, Any] = field(default_factory=dict)
+    seed: int = 0

@@ -1,0 +1,92 @@
+"""The material library: read from library.json (built by tools/build_library.py), looked up by name.
+
+Wood and brushed metal have x along the grain; corduroy and other ribs run along y, so that a stroke along x crosses
+them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from difflib import get_close_matches
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import MaterialError
+from .material import Appearance, LibraryMaterial
+from .mechanics import Mechanics
+from .token import ENCODER_ID, TOKEN_DIM
+
+LIBRARY_PATH = Path(__file__).resolve().parents[1] / "data" / "library.json"
+SCHEMA = 1
+_REBUILD = "Reinstall the package, or run tools/build_library.py."
+
+
+@lru_cache(maxsize=1)
+def load_library() -> tuple[LibraryMaterial, ...]:
+    """Every material of the library, in its order; read once. Raises MaterialError where the file is not usable."""
+    return read_library(LIBRARY_PATH)
+
+
+def read_library(path: Path) -> tuple[LibraryMaterial, ...]:
+    """A library file; see load_library. Raises MaterialError: missing, damaged, or tokens of another encoder."""
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+        if record["schema"] != SCHEMA or record["encoder"] != ENCODER_ID:
+            raise MaterialError(
+                f"was built for schema {record['schema']} and encoder {record['encoder']}, "
+                f"not for {SCHEMA} and {ENCODER_ID}.",
+                where=str(path),
+                remedy=_REBUILD,
+            )
+        return tuple(_material(entry) for entry in record["materials"])
+    except OSError as error:
+        raise MaterialError(
+            f"the material library cannot be read ({error.strerror}).", where=str(path), remedy=_REBUILD
+        ) from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise MaterialError(f"the material library is damaged ({error}).", where=str(path), remedy=_REBUILD) from error
+
+
+def find(name: str) -> LibraryMaterial:
+    """The material of that name; case and separators do not count ("Oak wood" is oak-wood).
+
+    Raises MaterialError that names close matches.
+    """
+    wanted = _normalised(name)
+    library = load_library()
+    for material in library:
+        if material.name == wanted:
+            return material
+    by_word = [material.name for material in library if wanted in material.words]
+    close = list(dict.fromkeys(get_close_matches(wanted, [m.name for m in library], 3, 0.5) + by_word))[:5]
+    remedy = f"Did you mean {', '.join(close)}?" if close else "List them all with: hnf materials"
+    raise MaterialError(f"no library material is called {name!r}.", remedy=remedy)
+
+
+def _normalised(name: str) -> str:
+    return "-".join(name.lower().replace("_", " ").replace("-", " ").split())
+
+
+def _material(entry: Mapping[str, Any]) -> LibraryMaterial:
+    token = np.asarray(entry["token"], dtype=np.float32)
+    if token.shape != (TOKEN_DIM,) or not np.isfinite(token).all():
+        raise ValueError(f"{entry['name']}: a token must be {TOKEN_DIM} finite numbers")
+    token.setflags(write=False)
+    looks = dict(entry["appearance"])
+    if looks["base_color"] is not None:
+        red, green, blue = looks["base_color"]
+        looks["base_color"] = (float(red), float(green), float(blue))
+    return LibraryMaterial(
+        name=str(entry["name"]),
+        category=str(entry["category"]),
+        words=tuple(entry["words"]),
+        appearance=Appearance(**looks),
+        mechanics=Mechanics(**entry["mechanics"]),
+        token=token,
+        recipe=entry["recipe"],
+        seed=int(entry["seed"]),
+    )
