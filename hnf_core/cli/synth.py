@@ -51,7 +51,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
-    if arguments.rate < 1.0 or arguments.rate != int(arguments.rate):
+    if not 1.0 <= arguments.rate <= 1e7 or arguments.rate != round(arguments.rate):
         raise UsageError(f"--rate {arguments.rate:g}: a WAV needs a whole number of Hz.", remedy="Give e.g. 10000.")
     field = load_field(arguments.weights)
     material = find(arguments.material) if arguments.weights is None else own_material(field, str(arguments.weights))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,14 +36,13 @@ def band_spectra(seed: int, stream: int, block: int, edges: NDArray[np.float64],
     bins = np.arange(size // 2 + 1)
     numbers = normal_block(seed, stream, block, 2 * len(bins))
     white = numbers[: len(bins)] + 1j * numbers[len(bins) :]
-    owner = np.searchsorted(edges, bins, side="right") - 1
+    starts = np.clip(np.ceil(edges).astype(int), 1, size // 2)
     spectra = np.zeros((len(edges) - 1, len(bins)), dtype=np.complex128)
-    for band in range(len(edges) - 1):
-        inside = np.flatnonzero((owner == band) & (bins > 0) & (bins < size // 2))
-        if len(inside) == 0:
+    for band, (low, high) in enumerate(pairwise(starts.tolist())):
+        if low >= high:
             raise ValueError(f"band {band} holds no bin of a period of {size} samples")
         # Each of n bins is complex normal of variance 2, mirrored: the period's mean power is 4 n / size².
-        spectra[band, inside] = white[inside] * (size / np.sqrt(4.0 * len(inside)))
+        spectra[band, low:high] = white[low:high] * (size / np.sqrt(4.0 * (high - low)))
     return spectra
 
 

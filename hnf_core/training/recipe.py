@@ -53,8 +53,10 @@ def train(library: Path, plan: Plan, config: FieldConfig, seed: int, workers: in
     """The whole recipe. Deterministic: the same seed gives the same weights on the same machine and torch."""
     torch.set_num_threads(1)
     began = time.monotonic()
-    surfaces = [*library_surfaces(library, plan.draws), *random_surfaces(plan.random + plan.held_out, seed)]
-    own = len(surfaces) - plan.random - plan.held_out
+    surfaces = library_surfaces(library, plan.draws, workers)
+    own = len(surfaces)
+    surfaces += random_surfaces(plan.random + plan.held_out, seed, workers)
+    print(f"{len(surfaces)} surfaces after {time.monotonic() - began:.0f} s", file=sys.stderr)
     strokes = steady_strokes(surfaces[:own], plan.library_strokes, seed + 1)
     strokes += [
         replace(stroke, surface=stroke.surface + own)

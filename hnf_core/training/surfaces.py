@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +42,7 @@ def make_surface(name: str, height: NDArray[np.float32], mechanics: Mechanics | 
     return Surface(name, SmoothedMaps(height, keep=4), token, mechanics)
 
 
-def random_surfaces(count: int, seed: int) -> list[Surface]:
+def random_surfaces(count: int, seed: int, workers: int = 1) -> list[Surface]:
     """Random recipes; every second one fused from two, because tokens in use are: measured long waves of a bake with a
     library material's short waves."""
     rng = np.random.default_rng(seed)
@@ -48,28 +50,36 @@ def random_surfaces(count: int, seed: int) -> list[Surface]:
     for _ in range(count):
         scale = 10.0 ** rng.uniform(-LEVEL_SPREAD, LEVEL_SPREAD)
         heights.append(height_map(random_recipe(rng), int(rng.integers(2**31))) * np.float32(scale))
-    surfaces = []
+    jobs: list[Job] = []
     for index, height in enumerate(heights):
         if index % 2:
             border_m = np.exp(rng.uniform(*np.log(FUSION_BORDER_M)))
             height = fuse(height, heights[int(rng.integers(count))], 1.0 / border_m)
-        surfaces.append(make_surface(f"random-{index}", height))
-    return surfaces
+        jobs.append((f"random-{index}", height, None))
+    return _made(jobs, workers)
 
 
-def library_surfaces(path: Path, draws: int) -> list[Surface]:
+def library_surfaces(path: Path, draws: int, workers: int = 1) -> list[Surface]:
     """draws tiles of every material in a library file, the first with its own seed, each with its own mechanics."""
-    entries = json.loads(path.read_text(encoding="utf-8"))
-    entries = entries["materials"] if isinstance(entries, dict) else entries
-    return [
-        make_surface(
-            entry["name"],
-            height_map(SurfaceRecipe.from_dict(entry["recipe"]), int(entry["seed"]) + draw),
-            Mechanics(**entry["mechanics"]),
-        )
-        for entry in entries
-        for draw in range(draws)
-    ]
+    jobs: list[Job] = []
+    for entry in json.loads(path.read_text(encoding="utf-8"))["materials"]:
+        recipe, mechanics = SurfaceRecipe.from_dict(entry["recipe"]), Mechanics(**entry["mechanics"])
+        jobs += [(entry["name"], height_map(recipe, int(entry["seed"]) + draw), mechanics) for draw in range(draws)]
+    return _made(jobs, workers)
+
+
+Job = tuple[str, NDArray[np.float32], Mechanics | None]
+
+
+def _made(jobs: list[Job], workers: int) -> list[Surface]:
+    if workers <= 1:
+        return [make_surface(*job) for job in jobs]
+    with ProcessPoolExecutor(workers, mp_context=get_context("fork")) as pool:
+        return list(pool.map(_make, jobs, chunksize=8))
+
+
+def _make(job: Job) -> Surface:
+    return make_surface(*job)
 
 
 def fuse(low: NDArray[np.float32], high: NDArray[np.float32], border_per_m: float) -> NDArray[np.float32]:

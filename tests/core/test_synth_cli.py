@@ -1,0 +1,152 @@
+"""`hnf synth` and the action table, by their words."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from hnf_core.action.table import action_from_table, read_action_csv
+from hnf_core.cli.main import main
+from hnf_core.errors import FileError, StrokeError
+from hnf_core.export.wav import read_wav
+from hnf_core.material.library import load_library
+
+HEADER = "time_s,direction_rad,speed_m_s,force_n\n"
+
+
+def hnf(*words):
+    def no_blender(arguments):
+        raise AssertionError("synth needs no Blender")
+
+    return main([str(word) for word in words], no_blender)
+
+
+@pytest.fixture
+def material():
+    return load_library()[0].name
+
+
+def test_a_primitive_becomes_a_wav(tmp_path, capsys, material):
+    out = tmp_path / "x.wav"
+    assert hnf("synth", "--material", material, "--stroke", "left-right-soft", "--out", out, "--json") == 0
+    record = json.loads(capsys.readouterr().out)
+    signal = read_wav(out)
+    assert record["rms_m_s2"] == pytest.approx(signal.rms, rel=1e-6)
+    assert record["duration_s"] == pytest.approx(signal.duration_s)
+    assert signal.sample_rate == 10_000
+    assert signal.provenance["material"] == material
+    assert signal.provenance["probe"] == "pen"
+    assert 0.01 < signal.rms < 100.0
+
+
+def test_the_same_words_write_the_same_bytes(tmp_path, material):
+    paths = [tmp_path / name for name in ("a.wav", "b.wav", "c.wav")]
+    for path, seed in zip(paths, (3, 3, 4), strict=True):
+        assert hnf("synth", "--material", material, "--stroke", "rub-slow", "--seed", seed, "--out", path) == 0
+    first, second, third = (path.read_bytes() for path in paths)
+    assert first == second
+    assert first != third
+
+
+def test_rate_and_probe_are_obeyed(tmp_path, material):
+    paths = {probe: tmp_path / f"{probe}.wav" for probe in ("pen", "finger")}
+    for probe, path in paths.items():
+        words = ("--stroke", "left-right-soft", "--rate", "8000", "--probe", probe, "--out", path)
+        assert hnf("synth", "--material", material, *words) == 0
+        assert read_wav(path).sample_rate == 8000
+        assert read_wav(path).provenance["probe"] == probe
+    assert paths["pen"].read_bytes() != paths["finger"].read_bytes()
+
+
+def test_an_action_table_on_any_grid(tmp_path, material):
+    table = tmp_path / "action.csv"
+    rows = [(0.0, 0.0, 0.0, 0.0), (0.11, 0.1, 0.1, 1.0), (0.2, 0.1, 0.1, 1.0), (0.57, 0.2, 0.1, 1.0), (0.6, 0.2, 0, 0)]
+    table.write_text(HEADER + "\n".join(",".join(str(cell) for cell in row) for row in rows))
+    out = tmp_path / "x.wav"
+    assert hnf("synth", "--material", material, "--action", table, "--out", out) == 0
+    assert read_wav(out).duration_s == pytest.approx(0.6, abs=0.006)
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (("--material", "no-such-stuff", "--stroke", "rub-slow"), 1),
+        (("--material", "MATERIAL", "--stroke", "no-such-stroke"), 2),
+        (("--stroke", "rub-slow"), 2),
+        (("--material", "MATERIAL"), 2),
+        (("--material", "MATERIAL", "--stroke", "rub-slow", "--rate", "0"), 2),
+        (("--material", "MATERIAL", "--stroke", "rub-slow", "--rate", "nan"), 2),
+        (("--material", "MATERIAL", "--action", "missing.csv"), 1),
+        (("--weights", "missing.safetensors", "--stroke", "rub-slow"), 1),
+    ],
+)
+def test_wrong_words_are_told_apart_from_failures(tmp_path, capsys, material, words, code):
+    words = [material if word == "MATERIAL" else word for word in words]
+    assert hnf("synth", *words, "--out", tmp_path / "x.wav") == code
+    assert capsys.readouterr().err.strip()
+    assert not (tmp_path / "x.wav").exists()
+
+
+def test_weights_of_no_single_material_say_so(tmp_path, capsys):
+    from hnf_core.field.weights import DEFAULT_WEIGHTS
+
+    assert hnf("synth", "--weights", DEFAULT_WEIGHTS, "--stroke", "rub-slow", "--out", tmp_path / "x.wav") == 1
+    assert "--material" in capsys.readouterr().err
+
+
+def test_weights_of_one_material_bring_it_along(tmp_path):
+    import dataclasses
+
+    from hnf_core.field.weights import load_field, save_field
+
+    entry = load_library()[0]
+    own = json.dumps({"name": "mine", "token": entry.token.tolist(), "mechanics": dataclasses.asdict(entry.mechanics)})
+    field = load_field()
+    weights = tmp_path / "own.safetensors"
+    save_field(weights, dataclasses.replace(field, metadata={**field.metadata, "material": own}))
+    out = tmp_path / "x.wav"
+    assert hnf("synth", "--weights", weights, "--stroke", "rub-slow", "--out", out) == 0
+    assert read_wav(out).provenance["material"] == "mine"
+
+
+def test_position_is_the_integral_of_speed():
+    time = np.array([0.0, 0.3, 1.0])
+    action = action_from_table(time, np.zeros(3), np.array([0.0, 0.3, 0.1]), np.ones(3))
+    assert action.position[-1] == pytest.approx(0.5 * 0.3 * 0.3 + 0.5 * 0.4 * 0.7, rel=1e-12)
+    np.testing.assert_allclose(np.gradient(action.position, 1 / 200.0)[5:-5], action.speed[5:-5], atol=2e-3)
+
+
+def test_direction_turns_the_short_way():
+    action = action_from_table(np.array([0.0, 1.0]), np.array([np.pi - 0.1, -np.pi + 0.1]), np.ones(2), np.ones(2))
+    assert np.all(action.direction[:, 0] < -0.9)
+    np.testing.assert_allclose(np.linalg.norm(action.direction, axis=1), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "word"),
+    [
+        ("time_s,speed_m_s,force_n\n0,1,1\n1,1,1\n", FileError, "direction_rad"),
+        ("", FileError, "time_s"),
+        (HEADER + "0,0,x,1\n1,0,0,1\n", FileError, "line 2"),
+        (HEADER + "0,0,1\n1,0,0,1\n", FileError, "line 2"),
+        (HEADER + "0,0,0.1,1\n", StrokeError, "fewer than two"),
+        (HEADER + "0,0,0.1,1\n0,0,0.1,1\n", StrokeError, "row 2"),
+        (HEADER + "0,0,0.1,nan\n1,0,0.1,1\n", StrokeError, "row 1"),
+        (HEADER + "0,0,-0.1,1\n1,0,0.1,1\n", StrokeError, "negative"),
+    ],
+)
+def test_broken_tables_are_refused_where_they_break(tmp_path, text, error, word):
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    with pytest.raises(error, match=word) as caught:
+        read_action_csv(path)
+    assert "a.csv" in str(caught.value)
+
+
+def test_a_byte_order_mark_and_other_column_order_are_no_obstacle(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_bytes(b"\xef\xbb\xbfforce_n,time_s,speed_m_s,direction_rad\r\n1,0,0.1,0\r\n\r\n1,0.5,0.1,0\r\n")
+    action = read_action_csv(path)
+    assert len(action.speed) == 101
+    assert math.isclose(action.speed[0], 0.1)
