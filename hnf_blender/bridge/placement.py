@@ -142,6 +142,7 @@ def place_primitive(
     per_second = float(scene.render.fps) / float(scene.render.fps_base)
     for channel, keys in (("progress", progress), ("force", force)):
         _insert_keys(stroke, channel, keys, start_frame, per_second)
+    depsgraph.update()  # so that the stroke can be read at once
     return Placed(stroke, chosen, spot.size_m, caster.rays + above.rays)
 
 

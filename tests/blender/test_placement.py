@@ -34,7 +34,6 @@ def graph():
 
 def place(obj, primitive, slot=None, metres_per_unit=1.0, **keywords):
     placed = place_primitive(bpy.context.scene, obj, slot, primitive, metres_per_unit, **keywords)
-    bpy.context.view_layer.update()
     assert placed.rays > 0
     return placed.curve
 
@@ -110,12 +109,20 @@ def test_the_default_takes_the_longer_way():
         uv=lambda co: co[:2],
     )
     placed = place_primitive(bpy.context.scene, strip, 0, "default", 1.0, name="Mine")
-    bpy.context.view_layer.update()
     assert placed.primitive == "default-down"
     assert placed.curve.name == "Mine"
     action = act(placed.curve)[3]
     assert np.allclose(action.direction, [0, -1], atol=1e-3)
     assert action.position[-1] == pytest.approx(0.06, rel=1e-3)
+
+
+def test_a_placed_stroke_can_be_read_at_once_wherever_its_object_stands():
+    plane = add_plane(size=0.1)
+    plane.location, plane.rotation_euler = (1, 2, 3), (0.3, 0.2, 2.0)
+    depsgraph = graph()
+    placed = place_primitive(bpy.context.scene, plane, 0, "left-right-soft", 1.0, depsgraph)
+    stroke = read_stroke(placed.curve, bpy.context.scene, depsgraph, 1.0)
+    assert np.abs(stroke.samples.point[:, 2]).max() < 1e-6
 
 
 def test_default_is_a_scrape_at_100_mm_s_and_1_newton():
