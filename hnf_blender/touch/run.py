@@ -238,4 +238,5 @@ def _interruptible() -> Iterator[None]:
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        # None: a handler that is not Python's, as in Blender's own program; Python cannot put that one back.
+        signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)
