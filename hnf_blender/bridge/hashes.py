@@ -38,7 +38,7 @@ def image_hash(image: Any) -> str:
     if image.is_dirty:  # painted but not saved: the pixels in memory are the truth
         return content_hash(repr(settings), _pixels(image))
     if image.packed_files:
-        return content_hash(repr(settings), *(bytes(packed.data) for packed in image.packed_files))
+        return content_hash(repr(settings), *(bytes(each.packed_file.data) for each in image.packed_files))
     if image.source == "GENERATED":
         shape = (image.generated_type, list(image.generated_color), list(image.size))
         return content_hash(repr(settings), repr(shape))

@@ -14,7 +14,7 @@ from hnf_core.export.path_on_view import StrokeView
 from hnf_core.export.picture import stroke_picture
 from hnf_core.export.wav import wav_bytes
 from hnf_core.files import content_hash, write_atomically, write_bytes
-from hnf_core.material.fuse import routes_by_band
+from hnf_core.material.fuse import routes_by_band, routes_in_words
 
 from ..bridge.render import quiet
 from .feel import BakedStroke, Felt
@@ -34,7 +34,7 @@ def deliver(folder: Path, job: Job, baked: BakedStroke, felt: Felt, view: Stroke
         "object": job.object_name,
         "material": main.shader,
         "library_material": ", ".join(names),
-        "routes": ", ".join(f"{band} {route}" for band, route in routes.items()),
+        "routes": routes_in_words(fused.routes),
         "height_source": record.height_source,
         "confidence": f"{felt.confidence:.3f}",
     }

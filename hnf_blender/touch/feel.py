@@ -17,7 +17,7 @@ from hnf_core.field.field import Field
 from hnf_core.field.stroke import StrokeInput
 from hnf_core.field.stroke_profile import stroke_profile
 from hnf_core.field.synthesis import synthesise
-from hnf_core.material.fuse import FusedToken, fuse
+from hnf_core.material.fuse import BANDS, FusedToken, fuse
 from hnf_core.material.library import find, load_library
 from hnf_core.material.material import LibraryMaterial
 from hnf_core.material.prior import rank
@@ -28,6 +28,9 @@ from ..bridge.strokes import SceneStroke
 from .bake import TouchedObject, bake_patches, mean_appearance, tactile_map_of, token_of
 from .report import Counts
 from .store import PatchRecord
+
+MECHANICAL_PROPERTIES = 3
+"""Stiffness, damping, friction."""
 
 
 @dataclass(frozen=True)
@@ -156,9 +159,19 @@ def feel(baked: BakedStroke, field: Field, seed: int, counts: Counts) -> Felt:
     )
     counts.network_calls += 1
     made = synthesise(field, given, seed=seed)
+    return Felt(action, made.signal, known_share(baked) * made.confidence, made.warnings)
+
+
+def known_share(baked: BakedStroke) -> float:
+    """How far the field's condition is known, 0–1: the seven bands of the texture by their routes, and the three
+    mechanical properties, which no picture shows, by the confidence in the library material; mean over touch time."""
     touched = np.bincount(baked.patch_index[baked.patch_index >= 0], minlength=len(baked.patches))
-    known = float(np.average([fused.confidence for fused in baked.fused], weights=touched))
-    return Felt(action, made.signal, known * made.confidence, made.warnings)
+    guess = [baked.materials[patch.slot].confidence for patch in baked.patches]
+    share = [
+        (BANDS * fused.confidence + MECHANICAL_PROPERTIES * sure) / (BANDS + MECHANICAL_PROPERTIES)
+        for fused, sure in zip(baked.fused, guess, strict=True)
+    ]
+    return float(np.average(share, weights=touched))
 
 
 def _held(index: NDArray[np.int32]) -> NDArray[np.int32]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -49,6 +50,17 @@ def fuse(
         shape_route=route if bool(known[-len(SHAPE_FEATURES) :].all()) else Route.PRIOR,
         confidence=(sum(told) + (BANDS - sum(told)) * certainty) / BANDS,
     )
+
+
+def routes_in_words(routes: Sequence[Route]) -> str:
+    """For a person: "8–2 mm measured, 1–0.125 mm prior"."""
+    names = [f"{wavelength * 1e3:g}" for wavelength in BAND_WAVELENGTHS_M]
+    parts = []
+    for route, group in groupby(range(BANDS), key=lambda band: routes[band]):
+        bands = list(group)
+        span = names[bands[0]] if len(bands) == 1 else f"{names[bands[0]]}–{names[bands[-1]]}"
+        parts.append(f"{span} mm {route.value}")
+    return ", ".join(parts)
 
 
 def routes_by_band(routes: Sequence[Route]) -> dict[str, str]:

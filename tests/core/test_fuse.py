@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as hnp
 
 from hnf_core.errors import MaterialError
 from hnf_core.material.encoder import smooth_token_values
-from hnf_core.material.fuse import BANDS, fuse, routes_by_band
+from hnf_core.material.fuse import BANDS, fuse, routes_by_band, routes_in_words
 from hnf_core.material.token import TOKEN_DIM, Token, band_slice
 from hnf_core.tactile.tactile_map import Route
 
@@ -77,3 +77,10 @@ def test_a_library_token_that_cannot_be_one_is_refused():
         fuse(None, np.zeros(3), 0.5)
     with pytest.raises(MaterialError):
         fuse(None, np.full(TOKEN_DIM, np.nan), 0.5)
+
+
+def test_routes_in_words_group_neighbouring_bands() -> None:
+    routes = (Route.MEASURED,) * 3 + (Route.PRIOR,) * 4
+    assert routes_in_words(routes) == "8–2 mm measured, 1–0.125 mm prior"
+    assert routes_in_words((Route.PRIOR,) * 7) == "8–0.125 mm prior"
+    assert routes_in_words((Route.MEASURED,) + (Route.PRIOR,) * 6) == "8 mm measured, 4–0.125 mm prior"
