@@ -33,8 +33,6 @@ Mask = NDArray[np.bool_]
 
 FLAT_M = 1e-9
 """A relief lower than this is no micro-geometry: the shader says nothing."""
-USUAL_HEIGHT_M = (0.5e-6, 2e-3)
-"""Peak-to-peak heights outside this are most likely an artist's slip, or a bump made for looks."""
 LIFT_M = 1e-4
 """What lies nearer above a patch's centre is the patch itself, within the precision of its place."""
 STEEPEST = 4.0
@@ -246,11 +244,6 @@ def _height(seen: _Seen, mask: Mask, notes: list[str]) -> tuple[NDArray[np.float
         return nothing
     if span < FLAT_M:
         return nothing
-    if not USUAL_HEIGHT_M[0] <= span <= USUAL_HEIGHT_M[1]:
-        notes.append(
-            f"material '{seen.slot.material}': its relief is {span * 1e3:.3g} mm from top to bottom; 0.0005–2 mm is "
-            f"usual. Check {'Distance, ' if reliefs else ''}Strength and the scene's unit scale."
-        )
     resolved = resolved_wavelength(used, seen.passes, mask, seen.pixel_m)
     return height.astype(np.float32), "; ".join(dict.fromkeys(each.source for each in used)), resolved
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from hnf_core.files import content_hash
+
+from .images import image_files
 
 COSMETIC = frozenset({
     "name", "label", "location", "location_absolute", "width", "height", "select", "color", "use_custom_color",
@@ -42,8 +43,7 @@ def image_hash(image: Any) -> str:
     if image.source == "GENERATED":
         shape = (image.generated_type, list(image.generated_color), list(image.size))
         return content_hash(repr(settings), repr(shape))
-    files = list(_image_files(image))
-    return content_hash(repr(settings), *(path.read_bytes() for path in files if path.is_file()))
+    return content_hash(repr(settings), *(path.read_bytes() for path in image_files(image) if path.is_file()))
 
 
 def _pixels(image: Any) -> bytes:
@@ -52,17 +52,6 @@ def _pixels(image: Any) -> bytes:
     pixels = np.empty(len(image.pixels), dtype=np.float32)
     image.pixels.foreach_get(pixels)
     return pixels.tobytes()
-
-
-def _image_files(image: Any) -> Iterator[Path]:
-    import bpy
-
-    path = bpy.path.abspath(image.filepath, library=image.library)
-    if image.source == "TILED":
-        for tile in image.tiles:
-            yield Path(path.replace("<UDIM>", str(tile.number)))
-    else:
-        yield Path(path)
 
 
 def _tree_parts(tree: Any, seen: set[str]) -> Iterator[str]:

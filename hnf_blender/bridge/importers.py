@@ -93,26 +93,6 @@ def size_warning(obj: Any, metres: float) -> str | None:
     return f"object '{obj.name}' is {size} across. {remedy}"
 
 
-def missing_image(image: Any) -> str | None:
-    """Why an image datablock has no pixels ("PATH is missing"), or None where it has.
-
-    Packed and generated images are always there; of a tiled one (UDIM) a single tile is enough.
-    """
-    import bpy
-
-    if image.source not in ("FILE", "TILED", "SEQUENCE", "MOVIE") or image.packed_file is not None:
-        return None
-    path = Path(bpy.path.abspath(image.filepath, library=image.library))
-    if image.source == "TILED":
-        pattern = re.sub(r"<(UDIM|UVTILE)>", "*", path.name)
-        if any(path.parent.glob(pattern)):
-            return None
-        return f"{path} is missing"
-    if not path.is_file():
-        return f"{path} is missing"
-    return None if image.source != "FILE" or image.size[0] > 0 else f"{path} cannot be read as a picture"
-
-
 def _check_head(path: Path, suffix: str) -> None:
     """Refuse by name, size and first bytes whatever Blender would not open, before anything open is given up."""
     where = str(path)

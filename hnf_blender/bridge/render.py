@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import sys
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -16,6 +13,7 @@ from hnf_core.scene.camera import Camera
 from hnf_core.scene.exr import read_exr
 
 from .. import compat
+from .quiet import quiet
 from .taps import Tap
 from .temporary import Temporary
 
@@ -109,25 +107,6 @@ def render_passes(temporary: Temporary) -> dict[str, NDArray[np.float32]]:
     except RuntimeError as error:
         raise SceneError(f"Blender could not render ({error}).", where="close-up") from error
     return read_exr(path)
-
-
-@contextmanager
-def quiet() -> Iterator[None]:
-    """Blender prints "Saved: …" for every render on the process's own standard output, where --json writes."""
-    try:
-        sys.stdout.flush()
-        kept = os.dup(1)
-    except (OSError, ValueError, AttributeError):  # no standard output at all
-        yield
-        return
-    sink = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(sink, 1)
-        yield
-    finally:
-        os.dup2(kept, 1)
-        os.close(sink)
-        os.close(kept)
 
 
 def planar_depth(passes: dict[str, NDArray[np.float32]], metres_per_unit: float) -> NDArray[np.float32]:

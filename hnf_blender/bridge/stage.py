@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +13,7 @@ from hnf_core.errors import SceneError
 
 from .. import compat
 from .appearance import ShaderReading, plain_shading, read_shader
+from .images import missing_image
 from .meshes import Surface, evaluated_mesh, flush_edits, materials_of, surface_frame, surface_mesh
 from .node_graph import NodeGraph
 from .shader_height import IMAGE, MicroGeometry
@@ -211,30 +211,10 @@ def _check_images(graph: NodeGraph, where: str) -> None:
     for name in ("Surface", "Displacement"):
         for node in graph.upstream(output.inputs[name]):
             if node.bl_idname == IMAGE and node.image is not None:
-                _check_image(node.image, where)
-
-
-def _check_image(image: Any, where: str) -> None:
-    import bpy
-
-    missing = None
-    if not image.packed_files and image.source in {"FILE", "TILED", "SEQUENCE", "MOVIE"} and not image.is_dirty:
-        path = bpy.path.abspath(image.filepath, library=image.library)
-        paths = [path]
-        if image.source == "TILED":
-            paths = [_tile_path(path, tile.number) for tile in image.tiles]
-        if image.source in {"FILE", "TILED", "MOVIE"}:
-            missing = next((each for each in paths if not os.path.isfile(each)), None)
-    if missing is not None:
-        what = f"its texture '{image.name}' is missing: {missing}."
-    elif image.source in {"FILE", "GENERATED"} and 0 in tuple(image.size):
-        what = f"its texture '{image.name}' cannot be read: {image.filepath}."
-    else:
-        return
-    remedy = "Bring the file back, or find it with File > External Data > Find Missing Files."
-    raise SceneError(what, where=where, remedy=remedy)
-
-
-def _tile_path(path: str, number: int) -> str:
-    u, v = (number - 1001) % 10 + 1, (number - 1001) // 10 + 1
-    return path.replace("<UDIM>", str(number)).replace("<UVTILE>", f"u{u}_v{v}")
+                problem = missing_image(node.image)
+                if problem is not None:
+                    raise SceneError(
+                        f"its texture '{node.image.name}' is not there: {problem}.",
+                        where=where,
+                        remedy="Bring the file back, or find it with File > External Data > Find Missing Files.",
+                    )

@@ -16,7 +16,7 @@ from hnf_core.export.wav import wav_bytes
 from hnf_core.files import content_hash, write_atomically, write_bytes
 from hnf_core.material.fuse import routes_by_band, routes_in_words
 
-from ..bridge.render import quiet
+from ..bridge.quiet import quiet
 from .feel import BakedStroke, Felt
 from .jobs import Job
 from .report import StrokeReport

@@ -29,6 +29,8 @@ from .bake import TouchedObject, bake_patches, mean_appearance, tactile_map_of, 
 from .report import Counts
 from .store import PatchRecord
 
+USUAL_HEIGHT_M = (0.5e-6, 2e-3)
+"""Peak-to-peak heights outside this are most likely an artist's slip, or a bump made for looks."""
 MECHANICAL_PROPERTIES = 3
 """Stiffness, damping, friction."""
 
@@ -73,6 +75,7 @@ class BakedStroke:
         own = list(self.stroke.notes) + list(self.touched.surface.notes)
         for record in self.records:
             own += record.notes
+        own += self._relief_notes()
         off = float(np.mean(~self.contacts.on_surface))
         if off > 0.0:
             own.append(f"stroke '{self.stroke.name}': {off:.0%} of its time it is off the surface and silent.")
@@ -82,6 +85,20 @@ class BakedStroke:
                 "are counted from the object's own axes."
             )
         return tuple(dict.fromkeys(own))
+
+    def _relief_notes(self) -> list[str]:
+        """One line a material, of its tallest patch: each patch has its own figure, and ten lines say no more."""
+        tallest: dict[str, float] = {}
+        for patch, record in zip(self.patches, self.records, strict=True):
+            shader = self.materials[patch.slot].shader
+            tallest[shader] = max(tallest.get(shader, 0.0), record.height_peak_to_peak_m)
+        return [
+            f"material '{shader}': its relief is {height * 1e3:.3g} mm from top to bottom; "
+            f"{USUAL_HEIGHT_M[0] * 1e3:g}–{USUAL_HEIGHT_M[1] * 1e3:g} mm is usual. Check the Distance, Strength or "
+            "Scale of its bump, and the scene's unit scale."
+            for shader, height in tallest.items()
+            if height > 0.0 and not USUAL_HEIGHT_M[0] <= height <= USUAL_HEIGHT_M[1]
+        ]
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ def _owner(grid: Float, position: Float, patch_index: NDArray[np.int32]) -> NDAr
     places, first = np.unique(position, return_index=True)
     right = np.clip(np.searchsorted(places, grid), 1, len(places) - 1)
     nearest = np.where(grid - places[right - 1] < places[right] - grid, right - 1, right)
-    return patch_index[first[nearest]]
+    return np.asarray(patch_index[first[nearest]], dtype=np.int32)
 
 
 def _fade(indicator: Float, length: float) -> Float:

@@ -303,3 +303,12 @@ def test_the_plan_says_what_and_does_nothing(tmp_path, capsys) -> None:
     capsys.readouterr()
     touch(scene, out, "--plan")
     assert "Fresh:" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("height", "unusual"), [(1e-7, True), (60e-6, False), (0.01, True)])
+def test_a_relief_no_surface_has_is_noted_once(tmp_path, height, unusual) -> None:
+    ridge_plate(height=height)
+    line_stroke("Along")
+    _, report = touch(save_scene(tmp_path / "scene.blend"), tmp_path / "out")
+    notes = [warning for warning in report["warnings"] if "from top to bottom" in warning]
+    assert len(notes) == int(unusual)
