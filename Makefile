@@ -31,10 +31,12 @@ env-test: python
 env-matrix: python
 	@'$(PYTHON)' tools/setup_env.py test blender-4.5 blender-4.2
 
-demo: env-demo
-	@mkdir -p build/demo
-	timeout 600 $(VENV)/python tools/make_demo_scene.py build/demo/demo.blend
+demo: env-demo build/demo/demo.blend
 	timeout 1800 $(VENV)/hnf touch build/demo/demo.blend --out build/demo
+
+build/demo/demo.blend: tools/make_demo_scene.py $(wildcard tools/demo_scene/*.py) | env-demo
+	@mkdir -p build/demo
+	timeout 600 $(VENV)/python tools/make_demo_scene.py $@
 
 test: env-matrix
 	@$(VENV)/python tools/run_tests.py
