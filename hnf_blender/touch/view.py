@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,11 +16,15 @@ from hnf_core.scene.view import RgbdView
 from ..bridge.meshes import Surface
 from ..bridge.picture import render_overview
 from ..bridge.scene_camera import camera_record, overview_camera
+from ..compat import has_denoiser
 from .report import Counts
 
 Float = NDArray[np.float64]
 
-WIDTH, HEIGHT, SAMPLES = 960, 540, 16
+WIDTH, HEIGHT = 960, 540
+SAMPLES = 6
+"""Enough under a denoiser; a picture says where the stroke is, it is no final render."""
+SAMPLES_UNDENOISED = 24
 LEAST_SHARE = 0.08
 """A stroke shorter than this share of the picture's width is better seen by a camera of our own."""
 NEIGHBOURS, NEIGHBOUR_FACES = 40, 400_000
@@ -50,7 +54,7 @@ class Views:
         camera = self._scene_camera()
         if camera is not None and shows(camera, path):
             if self._from_scene_camera is None:
-                self._from_scene_camera = self._render(camera, path, touched, use_scene_camera=True)
+                self._from_scene_camera = self._render(camera, path, touched)
             overview = self._from_scene_camera
         else:
             outward = contacts.normal.mean(axis=0) @ surface.rigid[:3, :3].T
@@ -59,22 +63,37 @@ class Views:
         uv, depth = overview.view.camera.project(path)
         return StrokeView(overview.view.rgb, uv, contacts.force, _visible(overview.view, uv, depth)), overview.notes
 
-    def _render(self, camera: Camera, path: Float, touched: Any, use_scene_camera: bool = False) -> Overview:
+    def _render(self, camera: Camera, path: Float, touched: Any) -> Overview:
         objects = in_view(self._scene, camera, path, touched, self._metres)
         self._counts.renders += 1
         view, notes = render_overview(
             self._scene,
-            None if use_scene_camera else camera,
+            camera,
             metres_per_unit=self._metres,
-            samples=SAMPLES,
+            samples=SAMPLES if has_denoiser() else SAMPLES_UNDENOISED,
             objects=objects,
         )
         return Overview(view, notes)
 
     def _scene_camera(self) -> Camera | None:
+        """The scene's camera at the picture's size; None where there is none, or it has no flat, square pixels."""
         if self._scene.camera is None or self._scene.camera.data.type not in {"PERSP", "ORTHO"}:
             return None
-        return camera_record(self._scene, self._scene.camera, self._metres)
+        camera = camera_record(self._scene, self._scene.camera, self._metres)
+        if abs(camera.intrinsics[0, 0] / camera.intrinsics[1, 1] - 1.0) > 1e-6:
+            return None
+        return resized(camera, WIDTH)
+
+
+def resized(camera: Camera, width: int) -> Camera:
+    """The same view, width pixels wide: a 4K scene does not need a 4K picture of its strokes."""
+    share = width / camera.width
+    return replace(
+        camera,
+        width=width,
+        height=max(1, round(camera.height * share)),
+        intrinsics=camera.intrinsics * np.array([[share], [share], [1.0]]),
+    )
 
 
 def shows(camera: Camera, path: Float) -> bool:
