@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.action.action import Action
-from hnf_core.action.contacts import Contacts, find_contacts
+from hnf_core.action.contacts import Contacts, find_contacts, require_contact
 from hnf_core.action.patches import action_from_contacts, plan_patches
-from hnf_core.errors import StrokeError
 from hnf_core.field.field import Field
 from hnf_core.field.stroke import StrokeInput
 from hnf_core.field.stroke_profile import stroke_profile
@@ -116,22 +115,12 @@ def bake_stroke(
 ) -> BakedStroke:
     """Where and what a stroke touches. choices: slot (None = any) → library material that the artist named.
 
-    Raises StrokeError where the stroke touches nothing.
+    Raises StrokeError where the stroke touches nothing, or never with force.
     """
     where = f"stroke '{stroke.name}'"
     contacts = find_contacts(stroke.samples, stroke.surface(touched.surface.mesh), where=where)
     counts.rays += len(stroke.samples.time)
-    if not contacts.on_surface.any():
-        nearest = float(contacts.distance.min()) * 1e3
-        raise StrokeError(
-            f"it touches nothing: at its nearest it is {nearest:.1f} mm from object '{stroke.object_name}'.",
-            where=where,
-            remedy="Move the curve onto the surface (Shrinkwrap, or snap to face), or choose its Surface.",
-        )
-    if not (contacts.on_surface & (contacts.force > 0.0)).any():
-        raise StrokeError(
-            "its force is 0 wherever it is on the surface.", where=where, remedy="Key a force above 0 N."
-        )
+    require_contact(contacts, where=where, surface=stroke.object_name)
     patches, patch_index = plan_patches(contacts)
     records = bake_patches(touched, patches, folder, counts)
     materials = {}

@@ -1,8 +1,6 @@
-"""The patches a stroke touches, and the stroke as seen from them: u(t), and its path on their height maps."""
+"""The patches a stroke touches, and the stroke as seen from them: u(t)."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,16 +18,6 @@ REACH = 0.7
 MAX_TURN_COSINE = float(np.cos(np.radians(25.0)))
 REST_M_S = 1e-6
 """Below this speed a hand rests, and its direction is the last one it had."""
-
-
-@dataclass(frozen=True)
-class PatchPath:
-    """A stroke's path on an even grid of arc length. position: (k,) m. patch: (k,) index, −1 off the surface.
-    plane_xy: (k, 2) m on that patch's tangent plane, NaN where there is none."""
-
-    position: Float
-    patch: Int32
-    plane_xy: Float
 
 
 def covers(patch: Patch, contacts: Contacts) -> Bool:
@@ -96,33 +84,6 @@ def action_from_contacts(
         contact=on,
         probe=probe,
     )
-
-
-def path_on_patches(contacts: Contacts, patches: tuple[Patch, ...], patch_index: Int32, step_m: float) -> PatchPath:
-    """The touched path every step_m metres of arc length, from the least to the greatest position of the stroke.
-
-    Where the stroke passes a place twice the passes agree (plan_patches depends on the place alone), so a stroke
-    that runs backward retraces this path. Between samples the contact point is interpolated linearly; a stretch
-    between a touching and a lifted sample belongs to its nearer end.
-    """
-    position, once = np.unique(contacts.position, return_index=True)
-    # Of samples at one place, one that touches speaks for it.
-    touching = np.flatnonzero(patch_index >= 0)
-    place, sample = np.unique(contacts.position[touching], return_index=True)
-    once[np.searchsorted(position, place)] = touching[sample]
-    count = int(np.floor((position[-1] - position[0]) / step_m + 1e-9)) + 1
-    grid = position[0] + step_m * np.arange(count)
-    after = np.clip(np.searchsorted(position, grid, side="left"), 0, len(position) - 1)
-    before = np.maximum(after - 1, 0)
-    span = position[after] - position[before]
-    share = np.clip(np.divide(grid - position[before], span, out=np.ones(count), where=span > 0.0), 0.0, 1.0)
-    low, high = once[before], once[after]
-    point = (1.0 - share)[:, None] * contacts.point[low] + share[:, None] * contacts.point[high]
-    patch = np.where(share < 0.5, patch_index[low], patch_index[high]).astype(np.int32)
-    plane = np.full((count, 2), np.nan)
-    for k, one in enumerate(patches):
-        plane[patch == k] = one.to_plane(point[patch == k])
-    return PatchPath(grid, patch, plane)
 
 
 def _patch_at(contacts: Contacts, i: int, size_m: float) -> Patch:

@@ -14,7 +14,7 @@ from hnf_core.action.contacts import StrokeSamples, find_contacts, require_conta
 from hnf_core.action.curves import by_arc_length
 from hnf_core.action.deforming import DeformingMesh
 from hnf_core.action.nearest import nearest_on_triangles
-from hnf_core.action.patches import action_from_contacts, covers, path_on_patches, plan_patches
+from hnf_core.action.patches import action_from_contacts, covers, plan_patches
 from hnf_core.action.time_law import motion_at_speed, motion_from_progress
 from hnf_core.errors import SceneError, StrokeError
 from hnf_core.scene.mesh import TriangleMesh
@@ -187,9 +187,6 @@ def test_pressing_in_place():
     assert np.array_equal(action.direction, np.tile([1.0, 0.0], (60, 1)))
     assert np.array_equal(action.contact, samples.force > 0)
     assert len(patches) == 1
-    path = path_on_patches(*find_and_plan(samples, grid_mesh()), 1e-4)
-    assert len(path.position) == 1
-    assert path.patch[0] == 0
 
 
 def find_and_plan(samples, mesh):
@@ -210,24 +207,6 @@ def test_steep_normals_split_patches():
     assert len(patches) >= 2
     assert (index >= 0).all()
     assert all(covers(patches[k], contacts)[i] for i, k in enumerate(index))
-
-
-def test_path_on_patches_is_even_and_complete():
-    mesh = grid_mesh(lambda x, y: 0.3 * y * y)
-    samples = stroke([[-0.03, -0.02, 0.3 * 0.0004], [0.03, -0.02, 0.3 * 0.0004]])
-    contacts, patches, index = find_and_plan(samples, mesh)
-    path = path_on_patches(contacts, patches, index, 1e-4)
-    assert len(path.position) == 601
-    assert np.allclose(np.diff(path.position), 1e-4)
-    assert (path.patch >= 0).all()
-    for k, patch in enumerate(patches):
-        rows = path.patch == k
-        back = patch.centre + path.plane_xy[rows] @ np.stack([patch.x_axis, patch.y_axis])
-        expected = samples.point[0] + path.position[rows, None] * [1, 0, 0]
-        assert np.abs(back - expected)[:, :2].max() < 2e-4
-        same = rows[1:] & rows[:-1]
-        steps = np.linalg.norm(np.diff(path.plane_xy, axis=0)[same], axis=1)
-        assert np.allclose(steps, 1e-4, rtol=0.02)
 
 
 @settings(max_examples=15, deadline=None)
