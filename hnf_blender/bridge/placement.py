@@ -26,7 +26,9 @@ Surfaces = Callable[[Any], Surface]
 
 KNOT_M = 2e-3
 """Distance of the placed curve's knots: close enough to follow a surface, few enough to edit."""
-TRIED = 200
+TRIED = 400
+UNDERSIDE_COSINE = -0.5
+"""Faces that look further down than this are undersides."""
 MIN_KEY_FRAMES = 0.05
 
 
@@ -175,23 +177,33 @@ def _planar(primitive: str, size_m: float, seed: int) -> tuple[Float, bool]:
 def _best_spot(
     surface: Surface, caster: RayCaster, slot: int, primitive: str, seed: int, above: _Neighbours
 ) -> Spot | None:
-    """The first place whose whole path stays on the slot with nothing of the neighbours in the hand's way; if there
-    is none, the first whose path stays."""
-    second: Spot | None = None
+    """The first place whose whole path stays on the slot and a hand would choose; if none of TRIED places is so, the
+    one with the least against it (see _against)."""
+    best: tuple[int, Spot] | None = None
     for tried, spot in enumerate(spots(surface.mesh, caster, slot, lambda size: _planar(primitive, size, seed)[0])):
-        if tried >= TRIED and second is not None:
+        if tried >= TRIED and best is not None:
             break
         frame = _frame(spot)
         path, _ = _planar(primitive, spot.size_m, seed)
         fit, height = fits(surface.mesh, caster, slot, frame, MARGIN * path, spot.size_m)
         if not np.isfinite(fit[0]):
             continue
-        if above.leave_free(
-            in_space(frame, MARGIN * path, height)[0], spot.normal, min(spot.openness_m, OPENNESS_M[1])
-        ):
+        against = _against(spot, in_space(frame, MARGIN * path, height)[0], surface, above)
+        if against == 0:
             return spot
-        second = second or spot
-    return second
+        if best is None or against < best[0]:
+            best = (against, spot)
+    return None if best is None else best[1]
+
+
+def _against(spot: Spot, points: Float, surface: Surface, above: _Neighbours) -> int:
+    """0: free above as far as the object itself leaves it, and not an underside. 1: something further away faces it
+    (the inside of a shell). 2: an underside. 3: a neighbour in the hand's way."""
+    if not above.leave_free(points, spot.normal, min(spot.openness_m, OPENNESS_M[1])):
+        return 3
+    if float((surface.rigid[:3, :3] @ spot.normal)[2]) < UNDERSIDE_COSINE:
+        return 2
+    return 0 if above.leave_free(points, spot.normal, spot.openness_m) else 1
 
 
 def _frame(spot: Spot) -> tuple[Float, Float, Float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from hnf_core.field.stroke_profile import stroke_profile
 from hnf_core.scene.patch import PATCH_SIZE_M, Patch
 from hnf_core.tactile.height import tactile_map_from_height
