@@ -26,9 +26,9 @@ def ridge_plate(height: float = 60e-6, name: str = PLATE, size: float = 0.12):
 
 
 def line_stroke(
-    name: str = "Scrape", *, along=(1.0, 0.0, 0.0), length=0.06, force=1.0, centre=(0.0, 0.0, 0.0), **settings
+    name: str = "Scrape", *, along=(1.0, 0.0, 0.0), length=0.026, force=1.0, centre=(0.0, 0.0, 0.0), **settings
 ):
-    """A straight stroke of 0.6 s at 100 mm/s, its force keyed: down, held, up."""
+    """A straight stroke at 100 mm/s, its force keyed: down, held, up. Two patches long unless length says more."""
     direction = np.asarray(along) / np.linalg.norm(along)
     curve = bpy.data.curves.new(name, "CURVE")
     curve.dimensions = "3D"
