@@ -41,7 +41,15 @@ def save_field(path: Path, field: Field) -> None:
     if field.ranges is not None:
         tensors[_TOKEN_LOW], tensors[_TOKEN_HIGH] = field.ranges.token_low, field.ranges.token_high
         metadata["ranges"] = json.dumps({"speed_m_s": field.ranges.speed, "force_n": field.ranges.force})
-    write_bytes(path, save(tensors, metadata=dict(sorted(metadata.items()))))
+    write_bytes(path, _canonical(save(tensors, metadata=metadata)))
+
+
+def _canonical(data: bytes) -> bytes:
+    """The file with its header sorted: safetensors writes metadata in random order; equal fields give equal bytes."""
+    size = int.from_bytes(data[:8], "little")
+    header = json.dumps(json.loads(data[8 : 8 + size]), sort_keys=True, separators=(",", ":")).encode()
+    header += b" " * (-len(header) % 8)
+    return len(header).to_bytes(8, "little") + header + data[8 + size :]
 
 
 def load_field(path: Path | str | None = None) -> Field:
@@ -130,8 +138,8 @@ def _config(record: Mapping[str, Any]) -> FieldConfig:
     config = FieldConfig(**{**record, "carriers": Carriers(**carriers)})
     if config.accumulation not in ("past", "heads") or config.emission not in ("log", "linear"):
         raise ValueError(f"unknown accumulation {config.accumulation!r} or emission {config.emission!r}")
-    if min(config.hidden, config.layers, config.states) < 1:
-        raise ValueError("hidden, layers and states must be positive")
+    if min(config.hidden, config.layers, config.states) < 1 or config.arc_knots not in (0, *range(2, 1000)):
+        raise ValueError("hidden, layers and states must be positive, arc_knots 0 or at least 2")
     return config
 
 

@@ -20,6 +20,9 @@ SPEEDS = 64
 STIFFNESS_RANGE_N_M = (8e2, 4e5)
 DAMPING_RANGE = (0.05, 0.8)
 FRICTION_RANGE = (0.1, 1.3)
+MIDDLE_SPEED_M_S = (0.03, 0.25)
+MIDDLE_FORCE_N = (0.3, 3.0)
+"""Where strokes mostly are, and where a material's own feel is checked."""
 OWN_MECHANICS_SHARE = 0.6
 UNKNOWN_SHARE = 0.25
 """Chance of each mechanical value to be withheld from the network."""
@@ -42,20 +45,29 @@ def speed_grid() -> Float:
     return np.geomspace(*SPEED_RANGE_M_S, SPEEDS)
 
 
-def steady_strokes(surfaces: Sequence[Surface], per_surface: int, seed: int) -> list[Steady]:
-    """per_surface conditions on each surface, one probe per surface and draw, log-uniform in speed and force."""
+def steady_strokes(
+    surfaces: Sequence[Surface], per_surface: int, seed: int, *, middle_share: float = 0.0
+) -> list[Steady]:
+    """per_surface conditions on each surface, log-uniform in speed and force, two thirds with the pen.
+
+    middle_share of them keep to the middle ranges, to the pen and to the surface's own mechanics.
+    """
     rng = np.random.default_rng(seed)
+    grid = speed_grid()
+    low, high = np.searchsorted(grid, MIDDLE_SPEED_M_S)
     strokes = []
     for index, surface in enumerate(surfaces):
         for draw in range(per_surface):
+            middle = rng.random() < middle_share and surface.mechanics is not None
+            own = surface.mechanics if middle else None
             strokes.append(
                 Steady(
                     surface=index,
-                    mechanics=draw_mechanics(surface.mechanics, rng),
-                    probe="pen" if draw % 3 else "finger",
-                    speed=int(rng.integers(SPEEDS)),
+                    mechanics=own or draw_mechanics(surface.mechanics, rng),
+                    probe="pen" if middle or draw % 3 else "finger",
+                    speed=int(rng.integers(low, high)) if middle else int(rng.integers(SPEEDS)),
                     angle=float(rng.uniform(0.0, 2.0 * np.pi)),
-                    force=float(np.exp(rng.uniform(*np.log(FORCE_RANGE_N)))),
+                    force=float(np.exp(rng.uniform(*np.log(MIDDLE_FORCE_N if middle else FORCE_RANGE_N)))),
                     start=(float(rng.uniform(0.0, 0.02)), float(rng.uniform(0.0, 0.02))),
                 )
             )

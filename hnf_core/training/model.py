@@ -25,11 +25,14 @@ class FieldNetwork(nn.Module):
     def __init__(self, config: FieldConfig, parameters: Mapping[str, NDArray[np.float32]]) -> None:
         super().__init__()
         self.config = config
+        expansion = config.expansion()
+        self.expansion = None if expansion is None else torch.tensor(expansion)
         self.weights = nn.ParameterDict(
             {name.replace(".", "_"): nn.Parameter(torch.tensor(value)) for name, value in parameters.items()}
         )
 
-    def forward(self, x: Tensor, prior: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
+    def heads(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """What the layers make of x (n, D): the α head (n, heads, outputs), before prior and gate, and σΔt (n, N)."""
         config, weights = self.config, self.weights
         hidden = x
         for layer in range(config.layers):
@@ -37,23 +40,38 @@ class FieldNetwork(nn.Module):
                 functional.linear(hidden, weights[f"layer{layer}_weight"], weights[f"layer{layer}_bias"])
             )
         head = functional.linear(hidden, weights["alpha_weight"], weights["alpha_bias"])
-        alpha = head.reshape(len(head), config.alpha_heads, config.carriers.count)
+        sigma_dt = functional.softplus(functional.linear(hidden, weights["sigma_weight"], weights["sigma_bias"]))
+        return head.reshape(len(head), config.alpha_heads, config.alpha_outputs), sigma_dt
+
+    def emission(self, head: Tensor, prior: Tensor, gate: Tensor) -> Tensor:
+        """α (n, heads, K) from the α head, prior (n, K) and gate (n, K)."""
+        config, weights, alpha = self.config, self.weights, head
+        if self.expansion is not None:
+            first = config.carriers.arc_slice.start
+            alpha = torch.cat([alpha[..., :first], alpha[..., first:] @ self.expansion.T], dim=-1)
         if config.physics:
             alpha = alpha + (weights["skip"] * prior)[:, None, :]
         if config.emission == "log":
             alpha = torch.exp(torch.clamp(alpha, max=LOG_AMPLITUDE_CEILING))
-        sigma_dt = functional.softplus(functional.linear(hidden, weights["sigma_weight"], weights["sigma_bias"]))
-        return alpha * gate[:, None, :], sigma_dt
+        return alpha * gate[:, None, :]
+
+    def forward(self, x: Tensor, prior: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
+        head, sigma_dt = self.heads(x)
+        return self.emission(head, prior, gate), sigma_dt
 
     def steady_amplitude(self, x: Tensor, prior: Tensor, gate: Tensor) -> Tensor:
         """(n, K) amplitudes of a long steady stroke ("past" accumulation)."""
         alpha, sigma_dt = self(x, prior, gate)
-        amplitude: Tensor = render_weights(sigma_dt).sum(dim=-1)[:, None] * alpha[:, 0]
-        return amplitude
+        return steady(alpha, sigma_dt)
 
     def parameters_numpy(self) -> dict[str, NDArray[np.float32]]:
         """Parameters under their names in FieldConfig.shapes."""
         return {name: self.weights[name.replace(".", "_")].detach().numpy().copy() for name in self.config.shapes()}
+
+
+def steady(alpha: Tensor, sigma_dt: Tensor) -> Tensor:
+    """(n, 1, K), (n, N) → (n, K): a state that has lasted longer than the memory."""
+    return render_weights(sigma_dt).sum(dim=-1)[:, None] * alpha[:, 0]
 
 
 OUTLIER_RATIO = 20.0

@@ -15,25 +15,26 @@ from ..field.field import Field, FieldConfig, Ranges
 from .conditions import FORCE_RANGE_N, SPEED_RANGE_M_S, steady_strokes
 from .fit import DENSITY_FLOOR, Likelihood, Schedule, TrainingSet, fit, training_set
 from .model import FieldNetwork
-from .recordings import COARSE_EDGES_HZ, FINE_BINS, record
+from .recordings import FINE_BINS, bin_widths, record
 from .surfaces import library_surfaces, random_surfaces
 
 Float = NDArray[np.float64]
 
 LICENCE = "GPL-3.0-or-later"
-_BIN_HZ = 10.0
 
 
 @dataclass(frozen=True)
 class Plan:
     """Sizes of the training run. random, held_out: surfaces (held out ones are never trained on). draws: tiles per
-    library material. strokes: per random surface; library_strokes: per library tile. seconds: of each stroke."""
+    library material. strokes: per random surface; library_strokes: per library tile, middle_share of
+    them where strokes mostly are. seconds: of each stroke."""
 
     random: int = 210
     held_out: int = 30
     draws: int = 2
-    strokes: int = 24
-    library_strokes: int = 36
+    strokes: int = 20
+    library_strokes: int = 50
+    middle_share: float = 0.6
     seconds: float = 0.3
     variants: int = 4
     schedule: Schedule = field(default_factory=Schedule)
@@ -57,7 +58,7 @@ def train(library: Path, plan: Plan, config: FieldConfig, seed: int, workers: in
     own = len(surfaces)
     surfaces += random_surfaces(plan.random + plan.held_out, seed, workers)
     print(f"{len(surfaces)} surfaces after {time.monotonic() - began:.0f} s", file=sys.stderr)
-    strokes = steady_strokes(surfaces[:own], plan.library_strokes, seed + 1)
+    strokes = steady_strokes(surfaces[:own], plan.library_strokes, seed + 1, middle_share=plan.middle_share)
     strokes += [
         replace(stroke, surface=stroke.surface + own)
         for stroke in steady_strokes(surfaces[own:], plan.strokes, seed + 2)
@@ -101,7 +102,7 @@ def evaluate_fit(network: FieldNetwork, data: TrainingSet, variant: int) -> Fit:
         amplitude = network.steady_amplitude(data.x[variant], data.prior[variant], data.gate)
         expected = Likelihood(network.config).expected(amplitude, data.speed).numpy().astype(np.float64)
     recorded = data.power.numpy().astype(np.float64) + DENSITY_FLOOR
-    width = np.concatenate([np.full(FINE_BINS, _BIN_HZ), np.diff(COARSE_EDGES_HZ)])
+    width = bin_widths()
     level = 10.0 * np.log10(expected / recorded)[:, :FINE_BINS]
     total = 10.0 * np.log10((expected @ width) / (recorded @ width))
     low, high = np.percentile(total, [10, 90])

@@ -38,6 +38,11 @@ def observed(power: Float) -> Float:
     return np.concatenate([fine, np.stack(coarse, axis=-1)], axis=-1)
 
 
+def bin_widths() -> Float:
+    """(107,) Hz that each observation stands for: density times width sums to power."""
+    return np.concatenate([np.full(FINE_BINS, SAMPLE_RATE_HZ / WINDOW), np.diff(COARSE_EDGES_HZ)])
+
+
 def record(surfaces: Sequence[Surface], strokes: Sequence[Steady], seconds: float, workers: int = 2) -> Float:
     """Mean observed power (n, 107) of `seconds` of each steady stroke, DFT321 over the whole of it.
 

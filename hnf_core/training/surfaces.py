@@ -20,8 +20,8 @@ from ..tactile.height import tactile_map_from_height
 
 Float = NDArray[np.float64]
 
-LEVEL_SPREAD = 0.4
-"""Decades by which a random surface is scaled up or down, uniformly."""
+LEVEL_DECADES = (-1.1, 0.3)
+"""By how much a random surface is scaled, uniformly: recipes are rough, silk is 0.2 µm."""
 FUSION_BORDER_M = (0.2e-3, 6e-3)
 
 
@@ -48,7 +48,7 @@ def random_surfaces(count: int, seed: int, workers: int = 1) -> list[Surface]:
     rng = np.random.default_rng(seed)
     heights = []
     for _ in range(count):
-        scale = 10.0 ** rng.uniform(-LEVEL_SPREAD, LEVEL_SPREAD)
+        scale = 10.0 ** rng.uniform(*LEVEL_DECADES)
         heights.append(height_map(random_recipe(rng), int(rng.integers(2**31))) * np.float32(scale))
     jobs: list[Job] = []
     for index, height in enumerate(heights):
