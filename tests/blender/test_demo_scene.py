@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from mathutils import Vector
 
-from hnf_blender import compat, props
+from hnf_blender import compat
 from hnf_blender.bridge.importers import open_scene, size_warning
 
 REPOSITORY = Path(__file__).parents[2]
@@ -36,8 +36,6 @@ def demo_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def scene(demo_file: Path):
-    if not hasattr(bpy.types.Object, "hnf_stroke"):
-        props.register()
     return open_scene(demo_file)
 
 

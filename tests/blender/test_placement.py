@@ -12,20 +12,12 @@ from builders import add_mesh, add_plane, add_sphere
 from hnf_blender.bridge.meshes import ray_caster, surface_mesh
 from hnf_blender.bridge.placement import default_slots, place_primitive, touchable_slots
 from hnf_blender.bridge.strokes import read_stroke, stroke_objects
-from hnf_blender.props import register, unregister
 from hnf_core.action.contacts import find_contacts
 from hnf_core.action.patches import action_from_contacts, plan_patches
 from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES, primitive_action
 from hnf_core.errors import SceneError
 
 HELMET = Path(__file__).resolve().parents[2].parent / "shared/data/scenes/FlightHelmet/FlightHelmet.gltf"
-
-
-@pytest.fixture(autouse=True)
-def stroke_properties(empty_file):
-    register()
-    yield
-    unregister()
 
 
 def graph():

@@ -13,18 +13,10 @@ from hnf_blender.bridge.channels import read_channel, sample_channels
 from hnf_blender.bridge.meshes import surface_mesh
 from hnf_blender.bridge.splines import read_curve
 from hnf_blender.bridge.strokes import read_stroke, stroke_hash, stroke_objects
-from hnf_blender.props import register, unregister
 from hnf_core.action.contacts import find_contacts
 from hnf_core.action.curves import by_arc_length
 from hnf_core.action.patches import action_from_contacts, plan_patches
 from hnf_core.errors import SceneError, StrokeError
-
-
-@pytest.fixture(autouse=True)
-def stroke_properties(empty_file):
-    register()
-    yield
-    unregister()
 
 
 def add_stroke(points, *, name="Scrape", kind="POLY", cyclic=False, handles=None, **settings):

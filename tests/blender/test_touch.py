@@ -8,14 +8,7 @@ import pytest
 from builders import add_mesh, add_plane, bump_material
 from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, set_keys, signals, spectrum_db, touch
 
-from hnf_blender import props
 from hnf_blender.bridge.storage import TOKEN_ATTRIBUTE, read_tokens
-
-
-@pytest.fixture(autouse=True)
-def stroke_properties(empty_file):
-    if not hasattr(bpy.types.Object, "hnf_stroke"):
-        props.register()
 
 
 def rms_of_one(scene, out, *words) -> float:

@@ -14,17 +14,10 @@ import pytest
 from builders import add_mesh, add_plane, datablock_names
 from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, set_keys, touch
 
-from hnf_blender import props
 from hnf_blender.cli import main
 from hnf_blender.touch.lock import folder_lock
 
 ROOT = Path(__file__).parents[2]
-
-
-@pytest.fixture(autouse=True)
-def stroke_properties(empty_file):
-    if not hasattr(bpy.types.Object, "hnf_stroke"):
-        props.register()
 
 
 def good_and_bad(tmp_path, spoil) -> tuple[int, dict, Path]:
