@@ -22,7 +22,7 @@ LINE_LIMIT = 400
 FLOORS = (
     ("errors",),
     ("units", "files", "signal"),
-    ("scene",),
+    ("scene", "metrics"),
     ("tactile",),
     ("action", "material"),
     ("field",),
@@ -85,7 +85,7 @@ def looks_upstairs(path: Path, tree: ast.Module) -> list[str]:
     return [
         f"line {line}: {room} uses {used}"
         for line, used in rooms_used(path, tree)
-        if used not in (room, "__version__") and FLOOR_OF[used] >= FLOOR_OF[room]
+        if used not in (room, "__version__") and FLOOR_OF.get(used, len(FLOORS)) >= FLOOR_OF.get(room, -1)
     ]
 
 
