@@ -6,7 +6,7 @@ import numpy as np
 
 from ..action.action import Action
 from ..material.token import TOKEN_NAMES
-from .field import Field
+from .field import Field, Ranges
 from .stroke import StrokeInput
 
 SLACK = 1.05
@@ -38,15 +38,25 @@ def examine(field: Field, stroke: StrokeInput, action: Action) -> tuple[float, t
         if np.mean(values < limits[0] / SLACK) > SLOW_SHARE:
             factors.append(0.8)
             warnings.append(f"{name.capitalize()} stays below {limits[0] * scale:g} {unit}, trained on {span}.")
-    for index in np.unique(stroke.token_index[stroke.action.contact]):
-        token = stroke.tokens[index]
-        span_width = np.maximum(ranges.token_high - ranges.token_low, 1e-3)
-        excess = np.maximum(ranges.token_low - token, token - ranges.token_high) / span_width
-        worst = int(np.argmax(excess))
-        if excess[worst] > SLACK - 1.0:
-            factors.append(float(1.0 / (1.0 + excess[worst])))
-            warnings.append(
-                f"Material {int(index)}: {TOKEN_NAMES[worst]} = {token[worst]:.3g} lies outside the "
-                f"{ranges.token_low[worst]:.3g} … {ranges.token_high[worst]:.3g} of training."
-            )
+    worst, excess = _worst_feature(stroke, ranges)
+    if excess > SLACK - 1.0:
+        factors.append(1.0 / (1.0 + excess))
+        warnings.append(f"Its surface is unlike any in training ({_in_words(worst)}): the signal is a guess there.")
     return float(np.prod(factors)), tuple(warnings)
+
+
+def _worst_feature(stroke: StrokeInput, ranges: Ranges) -> tuple[int, float]:
+    """The token feature furthest outside training among the touched materials, and how far (in training widths)."""
+    touched = stroke.tokens[np.unique(stroke.token_index[stroke.action.contact])]
+    width = np.maximum(ranges.token_high - ranges.token_low, 1e-3)
+    excess = (np.maximum(ranges.token_low - touched, touched - ranges.token_high) / width).max(axis=0)
+    worst = int(np.argmax(excess))
+    return worst, float(excess[worst])
+
+
+def _in_words(feature: int) -> str:
+    name, _, wave = TOKEN_NAMES[feature].partition("@")
+    if not wave:
+        return "the shape of its pits and grains"
+    what = {"level": "the height", "peak": "the regularity", "offset": "the pitch"}.get(name, "the direction")
+    return f"{what} of its waves about {wave.removesuffix('mm')} mm long"

@@ -11,9 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import MaterialError
 from ..tactile.tactile_map import Route
-from .token import BAND_WAVELENGTHS_M, SHAPE_FEATURES, TOKEN_DIM, Token, band_slice
+from .token import BAND_WAVELENGTHS_M, SHAPE_FEATURES, SMOOTH_LEVEL, TOKEN_DIM, Token, band_slice
 
 BANDS = len(BAND_WAVELENGTHS_M)
+DRAWN_DECADES = 2.5
+"""A band 50 dB below the strongest holds what filters and windows leak, nothing that anyone drew."""
+NOTHING_LEVEL = SMOOTH_LEVEL + 0.3
+"""2 nm RMS: the floor of the descriptor."""
 
 
 @dataclass(frozen=True)
@@ -31,25 +35,46 @@ class FusedToken:
 def fuse(
     measured: Token | None, prior: ArrayLike, prior_confidence: float, route: Route = Route.MEASURED
 ) -> FusedToken:
-    """Bands known in measured stay as they are, the others come from the prior (TOKEN_DIM,), a library token.
+    """Bands drawn in measured stay as they are, the others come from the prior (TOKEN_DIM,), a library token.
 
-    measured: None where the shader has no micro-geometry at all; then everything is prior. A band that the map
-    resolves and finds flat stays measured: smoothness is what the artist drew. route: how measured came to be known.
+    measured: None where the shader has no micro-geometry at all; then everything is prior, and so is a band that
+    the map resolves and holds nothing in (see drawn_bands). route: how measured came to be known.
     prior_confidence: 0–1. Raises MaterialError on a prior of the wrong size or with values that are not finite.
     """
     library = np.asarray(prior, dtype=np.float32)
     if library.shape != (TOKEN_DIM,) or not np.isfinite(library).all():
         raise MaterialError(f"a library token must hold {TOKEN_DIM} finite values, not {library.shape}.")
-    known = np.zeros(TOKEN_DIM, dtype=bool) if measured is None else measured.known
-    values = library.copy() if measured is None else np.where(known, measured.values, library).astype(np.float32)
-    told = [bool(known[band_slice(band)].all()) for band in range(BANDS)]
+    told = [False] * BANDS if measured is None else drawn_bands(measured)
+    shape_told = measured is not None and bool(measured.known[-len(SHAPE_FEATURES) :].all()) and any(told)
+    values = library.copy()
+    if measured is not None:
+        for band in range(BANDS):
+            if told[band]:
+                values[band_slice(band)] = measured.values[band_slice(band)]
+        if shape_told:
+            values[-len(SHAPE_FEATURES) :] = measured.values[-len(SHAPE_FEATURES) :]
     certainty = float(np.clip(prior_confidence, 0.0, 1.0))
     return FusedToken(
         values=values,
         routes=tuple(route if is_told else Route.PRIOR for is_told in told),
-        shape_route=route if bool(known[-len(SHAPE_FEATURES) :].all()) else Route.PRIOR,
+        shape_route=route if shape_told else Route.PRIOR,
         confidence=(sum(told) + (BANDS - sum(told)) * certainty) / BANDS,
     )
+
+
+def drawn_bands(measured: Token) -> list[bool]:
+    """Which bands an artist's map really says something about: known, and not next to nothing beside its strongest.
+
+    A sine bump has one band and leaves the others empty, but no surface is smooth to the nanometre below its ridges:
+    a drawn relief stands on the material's own roughness. Natural roughness falls by some 5 dB an octave, 35 dB over
+    all bands, and is kept whole.
+    """
+    levels = np.array([measured.values[band_slice(band).start] for band in range(BANDS)], dtype=np.float64)
+    known = np.array([bool(measured.known[band_slice(band)].all()) for band in range(BANDS)])
+    if not known.any():
+        return [False] * BANDS
+    least = max(float(levels[known].max()) - DRAWN_DECADES, NOTHING_LEVEL)
+    return [bool(each) for each in known & (levels > least)]
 
 
 def routes_in_words(routes: Sequence[Route]) -> str:

@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as hnp
 
 from hnf_core.errors import MaterialError
 from hnf_core.material.encoder import smooth_token_values
-from hnf_core.material.fuse import BANDS, fuse, routes_by_band, routes_in_words
+from hnf_core.material.fuse import BANDS, drawn_bands, fuse, routes_by_band, routes_in_words
 from hnf_core.material.token import TOKEN_DIM, Token, band_slice
 from hnf_core.tactile.tactile_map import Route
 
@@ -28,8 +28,11 @@ def measured_token(values: np.ndarray, bands: list[bool], shape: bool) -> Token:
 @settings(max_examples=50, deadline=None)
 @given(tokens, tokens, band_sets, st.booleans(), confidences)
 def test_every_value_comes_from_the_source_that_its_route_names(values, prior, bands, shape, confidence):
-    fused = fuse(measured_token(values, bands, shape), prior, confidence)
-    for band, told in enumerate(bands):
+    measured = measured_token(values, bands, shape)
+    fused = fuse(measured, prior, confidence)
+    shape = shape and any(drawn_bands(measured))
+    for band, told in enumerate(drawn_bands(measured)):
+        assert bands[band] or not told
         assert fused.routes[band] is (Route.MEASURED if told else Route.PRIOR)
         source = values if told else prior
         assert np.array_equal(fused.values[band_slice(band)], source[band_slice(band)])
@@ -50,16 +53,29 @@ def test_without_micro_geometry_the_prior_is_all_there_is(prior, confidence):
 
 @settings(max_examples=20, deadline=None)
 @given(tokens)
-def test_flat_where_resolved_is_measured_flat(prior):
-    flat = measured_token(smooth_token_values(), [True] * BANDS, True)
-    fused = fuse(flat, prior, 0.1)
-    assert np.array_equal(fused.values, smooth_token_values())
+def test_a_band_without_relief_leaves_the_materials_own_roughness(prior):
+    sine = smooth_token_values()
+    sine[band_slice(2).start] = -4.5
+    fused = fuse(measured_token(sine, [True] * BANDS, True), prior, 0.1)
+    assert [route is Route.MEASURED for route in fused.routes] == [band == 2 for band in range(BANDS)]
+    assert np.array_equal(fused.values[band_slice(2)], sine[band_slice(2)])
+    assert np.array_equal(fused.values[band_slice(4)], prior[band_slice(4)])
+    flat = fuse(measured_token(smooth_token_values(), [True] * BANDS, True), prior, 0.1)
+    assert set(flat.routes) == {Route.PRIOR}
+    assert flat.shape_route is Route.PRIOR
+
+
+def test_natural_roughness_is_kept_whole():
+    rough = smooth_token_values()
+    for band in range(BANDS):
+        rough[band_slice(band).start] = -4.5 - 0.3 * band
+    fused = fuse(measured_token(rough, [True] * BANDS, True), smooth_token_values(), 0.1)
     assert set(fused.routes) == {Route.MEASURED}
-    assert fused.confidence == 1.0
 
 
 def test_the_report_names_wavelengths_and_routes():
-    token = measured_token(smooth_token_values(), [True, True, False, False, False, False, False], False)
+    rough = np.full(TOKEN_DIM, -5.0, dtype=np.float32)
+    token = measured_token(rough, [True, True, False, False, False, False, False], False)
     fused = fuse(token, smooth_token_values(), 0.5, route=Route.PREDICTED)
     assert routes_by_band(fused.routes) == {
         "8 mm": "predicted",
