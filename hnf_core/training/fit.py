@@ -40,7 +40,7 @@ class Schedule:
     the linear contact: where nothing was seen, that stands.
     """
 
-    epochs: int = 60
+    epochs: int = 100
     batch: int = 256
     learning_rate: float = 2e-3
     decay: float = 1e-4
