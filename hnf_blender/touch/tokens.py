@@ -10,13 +10,10 @@ import numpy as np
 from hnf_core.errors import FileError, SceneError
 from hnf_core.files import content_hash
 from hnf_core.material.palette import Palette, build_palette
-from hnf_core.material.token import BAND_FEATURES, BAND_WAVELENGTHS_M
+from hnf_core.material.token import LEVELS
 
 from ..bridge.storage import UNBAKED, FaceTokens, read_tokens, write_tokens
 from .feel import BakedStroke
-
-LEVELS = slice(0, len(BAND_WAVELENGTHS_M) * len(BAND_FEATURES), len(BAND_FEATURES))
-"""Where the bands' levels stand in a token."""
 
 
 def store_tokens(strokes: Sequence[BakedStroke]) -> Iterator[str]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..action.action import Action
-from ..material.token import TOKEN_NAMES
+from ..material.token import LEVELS, TOKEN_NAMES, band_slice
 from .field import Field, Ranges
 from .stroke import StrokeInput
 
@@ -49,9 +50,22 @@ def _worst_feature(stroke: StrokeInput, ranges: Ranges) -> tuple[int, float]:
     """The token feature furthest outside training among the touched materials, and how far (in training widths)."""
     touched = stroke.tokens[np.unique(stroke.token_index[stroke.action.contact])]
     width = np.maximum(ranges.token_high - ranges.token_low, 1e-3)
-    excess = (np.maximum(ranges.token_low - touched, touched - ranges.token_high) / width).max(axis=0)
+    excess = np.maximum(ranges.token_low - touched, touched - ranges.token_high) / width
+    excess = np.where(_tells(touched), excess, 0.0).max(axis=0)
     worst = int(np.argmax(excess))
     return worst, float(excess[worst])
+
+
+def _tells(tokens: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """(M, TOKEN_DIM) which features matter: how waves run says little in a band 20 dB below the strongest, where it
+    is mostly what leaks from the neighbours."""
+    out = np.ones(tokens.shape, dtype=bool)
+    levels = tokens[:, LEVELS]
+    faint = levels < levels.max(axis=1, keepdims=True) - 1.0
+    for band in range(levels.shape[1]):
+        features = band_slice(band)
+        out[faint[:, band], features.start + 1 : features.stop] = False
+    return out
 
 
 def _in_words(feature: int) -> str:

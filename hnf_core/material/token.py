@@ -24,9 +24,10 @@ BAND_WAVELENGTHS_M = np.array([8e-3, 4e-3, 2e-3, 1e-3, 0.5e-3, 0.25e-3, 0.125e-3
 
 BAND_FEATURES = ("level", "cos2", "sin2", "cos4", "sin4", "peak", "offset")
 SHAPE_FEATURES = ("skewness", "log_kurtosis")
-TOKEN_NAMES = tuple(
-    f"{feature}@{wavelength * 1e3:g}mm" for wavelength in BAND_WAVELENGTHS_M for feature in BAND_FEATURES
-) + SHAPE_FEATURES
+TOKEN_NAMES = (
+    tuple(f"{feature}@{wavelength * 1e3:g}mm" for wavelength in BAND_WAVELENGTHS_M for feature in BAND_FEATURES)
+    + SHAPE_FEATURES
+)
 TOKEN_DIM = len(TOKEN_NAMES)
 SMOOTH_LEVEL = -9.0
 """Level of a band with nothing in it (1 nm RMS): the floor, so that log10 stays finite."""
@@ -41,6 +42,10 @@ class Token:
 
     values: NDArray[np.float32]
     known: NDArray[np.bool_]
+
+
+LEVELS = slice(0, len(BAND_WAVELENGTHS_M) * len(BAND_FEATURES), len(BAND_FEATURES))
+"""Where the bands' levels stand in a token."""
 
 
 def band_slice(band: int) -> slice:

@@ -115,8 +115,8 @@ def corduroy() -> Any:
     s = Shader("Corduroy", Roughness=0.9, Sheen_Weight=0.35, Sheen_Roughness=0.45, Specular_IOR_Level=0.15)
     wale = s.ridges(s.u, 2.2 * MM)
     pile = s.noise(0.22 * MM, 0.6 * MM, detail=1.0)
-    s.bump(240 * UM, wale, "Wales")
-    s.bump(40 * UM, pile, "Pile")
+    s.bump(90 * UM, wale, "Wales")
+    s.bump(12 * UM, pile, "Pile")
     worn = s.math("MULTIPLY", s.total(wale, s.math("MULTIPLY", s.noise(30 * MM, detail=3.0), 0.5)), 0.72)
     s.paint(s.ramp(worn, (0.12, (0.006, 0.030, 0.038)), (0.62, (0.018, 0.105, 0.120)), (1.0, (0.045, 0.185, 0.195))))
     return s.material
@@ -131,8 +131,8 @@ def linen() -> Any:
     warp = s.math("MULTIPLY", s.math("ABSOLUTE", waves[0]), s.math("ADD", over, 0.7))
     weft = s.math("MULTIPLY", s.math("ABSOLUTE", waves[1]), s.math("SUBTRACT", 0.7, over))
     weave = s.math("MAXIMUM", warp, weft)
-    s.bump(170 * UM, weave, "Weave")
-    s.bump(25 * UM, s.noise(0.15 * MM, detail=1.0), "Fibres")
+    s.bump(60 * UM, weave, "Weave")
+    s.bump(8 * UM, s.noise(0.15 * MM, detail=1.0), "Fibres")
     slub = s.math("MULTIPLY", s.math("ADD", s.noise(0.8 * MM, 14 * MM), s.noise(14 * MM, 0.8 * MM)), 0.35)
     s.paint(
         s.ramp(s.total(s.math("MULTIPLY", weave, 0.65), slub), (0.2, (0.20, 0.13, 0.07)), (1.0, (0.62, 0.50, 0.34)))
@@ -145,8 +145,8 @@ def leather() -> Any:
     s = Shader("Leather", Roughness=0.5, Specular_IOR_Level=0.5)
     pebble = s.step(s.cells(1.5 * MM, jitter=0.9), 0.0, 0.32)
     crease = s.step(s.cells(6.0 * MM), 0.0, 0.08)
-    s.bump(140 * UM, s.math("MULTIPLY", pebble, s.math("ADD", s.math("MULTIPLY", crease, 0.4), 0.6)), "Pebbles")
-    s.bump(18 * UM, s.noise(0.3 * MM, detail=2.0), "Pores")
+    s.bump(60 * UM, s.math("MULTIPLY", pebble, s.math("ADD", s.math("MULTIPLY", crease, 0.4), 0.6)), "Pebbles")
+    s.bump(8 * UM, s.noise(0.3 * MM, detail=2.0), "Pores")
     tone = s.total(s.math("MULTIPLY", s.noise(25 * MM, detail=4.0), 0.7), s.math("MULTIPLY", pebble, 0.25))
     s.paint(s.ramp(tone, (0.2, (0.055, 0.012, 0.006)), (0.6, (0.150, 0.036, 0.014)), (0.9, (0.235, 0.066, 0.026))))
     return s.material
@@ -156,7 +156,7 @@ def brushed_metal() -> Any:
     """Scratches along u, 0.1–0.8 mm apart, about 5 of the noise's 15 µm deep."""
     s = Shader("Brushed metal", Metallic=1.0, Roughness=0.3, Anisotropic=0.6)
     lines = s.noise(25 * MM, 0.4 * MM, detail=3.0, rough=0.7)
-    s.bump(15 * UM, lines, "Brushing")
+    s.bump(10 * UM, lines, "Brushing")
     s.paint(s.ramp(lines, (0.3, (0.50, 0.47, 0.42)), (0.7, (0.66, 0.62, 0.55))))
     s.feed(s.surface.inputs["Roughness"], s.math("ADD", s.math("MULTIPLY", lines, 0.25), 0.16))
     return s.material
@@ -167,8 +167,8 @@ def terracotta() -> Any:
     s = Shader("Terracotta", Roughness=0.88, Specular_IOR_Level=0.2)
     grain = s.noise(1.6 * MM, detail=5.0, rough=0.7)
     pits = s.step(s.cells(3.2 * MM, "F1"), 0.06, 0.16)
-    s.bump(300 * UM, grain, "Grain")
-    s.bump(90 * UM, pits, "Pits")
+    s.bump(110 * UM, grain, "Grain")
+    s.bump(40 * UM, pits, "Pits")
     tone = s.total(s.math("MULTIPLY", s.noise(45 * MM, detail=6.0), 0.8), s.math("MULTIPLY", grain, 0.3))
     clay = s.ramp(tone, (0.3, (0.33, 0.105, 0.045)), (0.55, (0.47, 0.170, 0.080)), (0.8, (0.60, 0.275, 0.155)))
     dark = s.add("ShaderNodeMix", data_type="RGBA", blend_type="MULTIPLY")
