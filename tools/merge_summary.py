@@ -32,10 +32,18 @@ def read_cases(path: Path) -> list[Case]:
         for tag, word in (("skipped", "skipped"), ("failure", "failed"), ("error", "error")):
             child = element.find(tag)
             if child is not None:
-                outcome, reason = word, " ".join((child.get("message") or "").split())
+                outcome, reason = word, " ".join(reason_of(child).split())
         name = f"{element.get('classname', '')}::{element.get('name', '')}".removeprefix("::")
         cases.append(Case(path.stem, name, outcome, reason))
     return cases
+
+
+def reason_of(element: ElementTree.Element) -> str:
+    """Why a test was skipped or failed. A module skipped as a whole keeps its reason in the text, after `Skipped: `."""
+    message = element.get("message") or ""
+    if message == "collection skipped":
+        return (element.text or message).rpartition("Skipped: ")[2].rstrip("'\")\n")
+    return message
 
 
 def write_cases(path: Path, cases: list[Case]) -> None:

@@ -62,12 +62,14 @@ def test_summary_of_a_real_pytest_run(tmp_path: Path, capsys: pytest.CaptureFixt
         "def broken(): raise OSError('gone')\n"
         "def test_d(broken): pass\n"
     )
+    (tmp_path / "test_whole.py").write_text("import pytest\npytest.importorskip('no_such_module', reason='not here')\n")
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--junitxml=x.xml", "--rootdir=."]
     subprocess.run(command, cwd=tmp_path, capture_output=True, timeout=60)
     assert merge_summary.main([str(tmp_path / "x.xml")]) == 1
     lines = capsys.readouterr().out.splitlines()
-    assert re.fullmatch(r"==== 1 failed, 1 passed, 1 skipped, 1 error in [\d.]+s ====", lines[-1])
+    assert re.fullmatch(r"==== 1 failed, 1 passed, 2 skipped, 1 error in [\d.]+s ====", lines[-1])
     assert "SKIPPED [1] x: no such machine" in lines
+    assert "SKIPPED [1] x: not here" in lines
     assert any(line.startswith("FAILED x: test_it::test_b - assert 1 == 2") for line in lines)
 
 
