@@ -15,6 +15,7 @@ from hnf_core.scene.view import RgbdView
 
 from .. import compat
 from .meshes import Surface, ray_caster
+from .quiet import quiet
 from .render import add_camera, aim, planar_depth, prepare_cycles, render_passes
 from .stage import set_stage
 from .temporary import Temporary
@@ -167,7 +168,8 @@ def _for_a_quick_look(scene: Any) -> None:
     scene.cycles.caustics_reflective = scene.cycles.caustics_refractive = False
     if compat.has_denoiser():
         scene.cycles.use_denoising = True
-        scene.cycles.denoiser = "OPENIMAGEDENOISE"
+        with quiet():  # naming one makes Cycles look for graphics cards, and say on standard output that there are none
+            scene.cycles.denoiser = "OPENIMAGEDENOISE"
         scene.cycles.denoising_prefilter = "FAST"
         if hasattr(scene.cycles, "denoising_quality"):
             scene.cycles.denoising_quality = "FAST"

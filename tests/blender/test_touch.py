@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import bpy
 import numpy as np
 import pytest
@@ -275,6 +277,16 @@ def test_a_thousand_neighbours_cost_no_work(tmp_path) -> None:
         signals(tmp_path / "alone", alone)["Along"].samples == signals(tmp_path / "crowd", crowded)["Along"].samples
     )
     assert same.all()
+
+
+def test_standard_output_is_json_and_nothing_else(tmp_path, capfd) -> None:
+    ridge_plate()
+    line_stroke("Along")
+    scene = save_scene(tmp_path / "scene.blend")
+    capfd.readouterr()
+    code, report = touch(scene, tmp_path / "out", "--json")
+    assert code == 0
+    assert json.loads(capfd.readouterr().out) == report
 
 
 def test_the_plan_says_what_and_does_nothing(tmp_path, capsys) -> None:
