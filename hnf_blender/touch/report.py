@@ -63,9 +63,14 @@ class Counts:
 
 @dataclass
 class Report:
-    """Grows during a run; written after every stroke, so that a stopped run leaves a true account."""
+    """Grows during a run; written after every stroke, so that a stopped run leaves a true account.
+
+    metres_per_unit: length of a scene unit, which every height and speed is scaled by; scale_source: who said so.
+    """
 
     scene: str
+    metres_per_unit: float
+    scale_source: str
     strokes: list[StrokeReport] = field(default_factory=list)
     counts: Counts = field(default_factory=Counts)
     timings: dict[str, float] = field(default_factory=dict)

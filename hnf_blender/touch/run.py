@@ -46,7 +46,7 @@ def run(request: TouchRequest) -> int:
         if request.plan_only:
             print(plan.as_json() if request.as_json else plan.as_text())
             return 1 if found.failed else 0
-        report = _new_report(request, found)
+        report = _new_report(session, found)
         report.timings = {"open_s": round(opened - started, 3), "plan_s": round(time.monotonic() - opened, 3)}
         bar = ProgressBar()
         try:
@@ -147,8 +147,15 @@ def _source(request: TouchRequest) -> Path:
     return request.scene if request.scene is not None else Path(bpy.data.filepath)
 
 
-def _new_report(request: TouchRequest, found: Gathered) -> Report:
-    report = Report(scene=_source(request).name, skipped=list(found.skipped), failed=list(found.failed))
+def _new_report(session: Session, found: Gathered) -> Report:
+    request = session.request
+    report = Report(
+        scene=_source(request).name,
+        metres_per_unit=session.metres_per_unit,
+        scale_source="the scene's units" if request.metres_per_unit is None else "--scale",
+        skipped=list(found.skipped),
+        failed=list(found.failed),
+    )
     for note in found.notes:
         report.warn(note)
     return report

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_core.files import write_atomically
+from hnf_core.files import write_bytes
 from hnf_core.material.material import Appearance
 
 STORE_VERSION = 1
@@ -80,12 +81,9 @@ def save_patch(folder: Path, key: str, record: PatchRecord) -> None:
         "faces": record.faces,
         "notes": np.array(record.notes, dtype=np.str_),
     }
-
-    def write(path: Path) -> None:
-        with path.open("wb") as stream:
-            np.savez_compressed(stream, **arrays)
-
-    write_atomically(folder / f"{key}.npz", write)
+    packed = io.BytesIO()  # in memory first: on a full disk a half-written archive complains once more when it is dropped
+    np.savez_compressed(packed, **arrays)
+    write_bytes(folder / f"{key}.npz", packed.getvalue())
 
 
 def _appearance_row(appearance: Appearance) -> NDArray[np.float64]:

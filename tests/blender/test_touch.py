@@ -316,3 +316,55 @@ def test_a_relief_no_surface_has_is_noted_once(tmp_path, height, unusual) -> Non
     _, report = touch(save_scene(tmp_path / "scene.blend"), tmp_path / "out")
     notes = [warning for warning in report["warnings"] if "from top to bottom" in warning]
     assert len(notes) == int(unusual)
+
+
+def test_the_scale_is_reported_and_can_be_given(tmp_path) -> None:
+    ridge_plate(height=6e-3, size=12.0)
+    scene = save_scene(tmp_path / "centimetres.blend")
+    code, report = touch(scene, tmp_path / "out", "--scale", "0.01", "--stroke", "left-right-soft", "--on", PLATE)
+    assert code == 0
+    assert (report["metres_per_unit"], report["scale_source"]) == (0.01, "--scale")
+    assert report["strokes"][0]["height_peak_to_peak_m"] == pytest.approx(60e-6, rel=0.05)
+    _, report = touch(scene, tmp_path / "metres", "--stroke", "left-right-soft", "--on", PLATE)
+    assert (report["metres_per_unit"], report["scale_source"]) == (1.0, "the scene's units")
+    assert any("17 m across" in warning for warning in report["warnings"])
+
+
+def test_modifiers_and_shared_meshes_keep_their_tokens(tmp_path) -> None:
+    plate = ridge_plate()
+    plate.modifiers.new("Subdivision", "SUBSURF").subdivision_type = "SIMPLE"
+    twin = bpy.data.objects.new("Twin", plate.data)
+    twin.location.z = 1.0
+    bpy.context.scene.collection.objects.link(twin)
+    line_stroke("Along", surface=plate)
+    code, report = touch(save_scene(tmp_path / "scene.blend"), tmp_path / "out")
+    assert code == 0
+    assert any("shares its mesh" in warning for warning in report["warnings"])
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "out" / report["baked_blend"]))
+    tokens = read_tokens(bpy.data.objects["Twin"].data)
+    assert tokens is not None
+    assert tokens.index.tolist() == [0]
+
+
+def test_a_linked_mesh_is_felt_and_the_missing_tokens_are_named(tmp_path) -> None:
+    ridge_plate()
+    library = save_scene(tmp_path / "library.blend")
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(str(library), link=True) as (_, wanted):
+        wanted.objects = [PLATE]
+    bpy.context.scene.collection.objects.link(wanted.objects[0])
+    line_stroke("Along")
+    code, report = touch(save_scene(tmp_path / "scene.blend"), tmp_path / "out")
+    assert code == 0
+    assert report["strokes"][0]["object"] == PLATE
+    assert any("linked from" in warning and "Make Local" in warning for warning in report["warnings"])
+
+
+def test_a_collection_instance_is_refused_by_name(tmp_path, capsys) -> None:
+    ridge_plate()
+    instance = bpy.data.objects.new("Copy of it", None)
+    instance.instance_type, instance.instance_collection = "COLLECTION", bpy.data.collections.new("set")
+    bpy.context.scene.collection.objects.link(instance)
+    scene = save_scene(tmp_path / "scene.blend")
+    assert touch(scene, tmp_path / "out", "--stroke", "rub-slow", "--on", "Copy of it")[0] == 1
+    assert "'Copy of it'" in capsys.readouterr().err

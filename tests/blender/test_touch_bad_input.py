@@ -203,3 +203,31 @@ def test_stopping_half_way_keeps_what_is_finished(tmp_path) -> None:
     assert sum(entry["fresh"] for entry in report["strokes"]) >= len(finished) - 1
     assert len(report["strokes"]) == 8
     assert not list(out.glob(".*.wav"))
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A folder on a disk of its own, of one megabyte."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    made = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "none", str(folder)], capture_output=True)
+    if made.returncode != 0:
+        pytest.skip("may not mount a small disk here")
+    yield folder
+    subprocess.run(["umount", "--lazy", str(folder)], check=True)
+
+
+def test_a_full_disk_costs_nothing_that_is_saved(tmp_path, capsys, small_disk) -> None:
+    ridge_plate()
+    line_stroke("Good")
+    scene = save_scene(tmp_path / "scene.blend")
+    (small_disk / "good.wav").write_bytes(b"an earlier result")
+    (small_disk / "filling").write_bytes(bytes(900 * 1024))
+    assert touch(scene, small_disk)[0] == 1
+    errors = [line for line in capsys.readouterr().err.splitlines() if line.startswith("hnf:")]
+    assert errors
+    assert "could not be written" in errors[0]
+    assert "Free some disk space" in errors[0]
+    assert (small_disk / "good.wav").read_bytes() == b"an earlier result"
+    (small_disk / "filling").unlink()
+    assert not [path for path in small_disk.rglob(".*") if path.name != ".hnf-lock"]
