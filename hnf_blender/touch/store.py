@@ -81,7 +81,7 @@ def save_patch(folder: Path, key: str, record: PatchRecord) -> None:
         "faces": record.faces,
         "notes": np.array(record.notes, dtype=np.str_),
     }
-    packed = io.BytesIO()  # in memory first: on a full disk a half-written archive complains once more when it is dropped
+    packed = io.BytesIO()  # in memory first: on a full disk a half-written archive complains again when dropped
     np.savez_compressed(packed, **arrays)
     write_bytes(folder / f"{key}.npz", packed.getvalue())
 
