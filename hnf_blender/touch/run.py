@@ -68,7 +68,7 @@ def touch_steps(
     baked_path = folder / baked_name(session)
     report.baked_blend = baked_path.name
     report.strokes = [replace(fresh[job.key], name=job.name, fresh=True) for job in found.jobs if job.key in fresh]
-    if len(fresh) == len(found.jobs) and not found.failed and baked_path.is_file():
+    if found.jobs and len(fresh) == len(found.jobs) and baked_path.is_file():
         return
     baked: list[BakedStroke] = []
     total = len(found.jobs) + 1

@@ -19,7 +19,7 @@ from .carriers import MODEL_RATE_HZ, Carriers
 from .contact_filter import LEAD, TAIL, FilterBank, filter_bank
 from .extrapolation import examine
 from .field import Field, accumulate, evaluate
-from .linear_contact import FORCE_FLOOR_N, Condition
+from .linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition
 from .modulation import arc_term, interpolate, time_term
 from .profile import ProfileBands, share_power, split_profile
 from .resampling import resample
@@ -89,7 +89,8 @@ def prepare(field: Field, stroke: StrokeInput, *, seed: int) -> Prepared:
     if stroke.profile is not None and carriers.arc_count:
         bands = split_profile(stroke.profile, carriers)
         shares = share_power(amplitude[:, 0], bands, condition, carriers)
-        profile_amplitude = shares.profile * _tip(condition, carriers)
+        sliding = condition.contact & (condition.force > FORCE_FLOOR_N) & (condition.speed > SPEED_FLOOR_M_S)
+        profile_amplitude = held(shares.profile * _tip(condition, carriers), sliding)
         amplitude = amplitude.copy()
         amplitude[:, :, carriers.arc_slice] *= shares.arc[:, None, :]
         amplitude[:, :, carriers.time_slice] *= shares.time[:, None, :]
@@ -142,6 +143,21 @@ def contact_term(prepared: Prepared, start: int, count: int) -> Float:
 def position(action: Action, start: int, count: int) -> Float:
     """s(t) [m] at samples start … of the model rate, held beyond the stroke."""
     return cubic(action.position, (start + np.arange(count)) / SAMPLES_PER_STATE)
+
+
+def held(amplitude: Float, sliding: NDArray[np.bool_]) -> Float:
+    """(n, K) amplitudes with the states that do not slide filled in from their sliding neighbours, linearly.
+
+    At rest, and before the touch, the height under the hand stands still and must give nothing. Fading it in or out
+    there instead would lift the hand by the height itself within some milliseconds: a blow that nobody dealt.
+    """
+    rows = np.flatnonzero(sliding)
+    if len(rows) == 0:
+        return np.zeros_like(amplitude)
+    place = np.interp(np.arange(len(amplitude)), rows, np.arange(len(rows)))
+    low = np.floor(place).astype(np.intp)
+    high, share = np.minimum(low + 1, len(rows) - 1), (place - low)[:, None]
+    return np.asarray((1.0 - share) * amplitude[rows[low]] + share * amplitude[rows[high]])
 
 
 def _tip(condition: Condition, carriers: Carriers) -> Float:

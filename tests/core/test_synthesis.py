@@ -227,6 +227,23 @@ def test_profile_on_or_off_leaves_the_average_spectrum():
     assert np.sum(prepared[1].amplitude ** 2) < 0.7 * np.sum(prepared[0].amplitude ** 2)
 
 
+def test_landing_on_a_ridge_is_no_blow():
+    """The hand presses at rest on top of a wave, slides, and rests again: at rest the height under it gives nothing."""
+    speed = np.interp(np.arange(161), [0, 40, 60, 100, 120, 160], [0, 0, 0.1, 0.1, 0, 0])
+    force = np.interp(np.arange(161), [0, 20, 140, 160], [0, 1, 1, 0])
+    action = make_action(speed, force)
+    place = np.arange(0.0, 0.08, 1e-4)
+    ridges = HeightProfile(1e-4, 0.0, 100e-6 * np.cos(2 * np.pi * place / 8e-3), 5e-4)
+    plain = uniform_stroke(action, rough_token(-4.5), WOOD)
+    with_ridges = dataclasses.replace(plain, profile=ridges)
+    without, heard = (
+        synthesise(linear_field(), stroke, seed=0).signal.samples.astype(np.float64) for stroke in (plain, with_ridges)
+    )
+    sliding = np.sqrt(np.mean(heard[2500:5500] ** 2))
+    for rest in (slice(0, 1900), slice(6300, 8000)):
+        assert np.abs(heard[rest] - without[rest]).max() < 0.02 * sliding
+
+
 def test_a_profile_louder_than_the_field_is_turned_down_to_it():
     action = steady(3.0)
     plain = uniform_stroke(action, rough_token(-5.6), WOOD)
