@@ -7,16 +7,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .nearest_surface import is_visible
-
 Float = NDArray[np.float64]
 
 REACH_M = 0.25
 """A neighbour further away than this does not stand in a hand's way."""
 
 
-def world_box(obj: Any, depsgraph: Any, metres_per_unit: float) -> tuple[Float, Float]:
-    """Lowest and highest corner (3,) in world metres of the evaluated object's bounding box."""
+def is_visible(obj: Any, view_layer: Any) -> bool:
+    """Shown in this view layer and in renders."""
+    return not obj.hide_render and bool(obj.visible_get(view_layer=view_layer))
+
+
+def world_box(obj: Any, depsgraph: Any, metres_per_unit: float = 1.0) -> tuple[Float, Float]:
+    """Lowest and highest corner (3,) of the evaluated object's bounding box, in world units × metres_per_unit."""
     evaluated = obj.evaluated_get(depsgraph)
     world = np.array(evaluated.matrix_world, dtype=np.float64)
     corners = np.array([tuple(corner) for corner in evaluated.bound_box]) @ world[:3, :3].T + world[:3, 3]

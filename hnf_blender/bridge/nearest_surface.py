@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hnf_core.action.nearest import nearest_on_triangles
 from hnf_core.errors import SceneError, StrokeError
 
+from .boxes import is_visible, world_box
 from .meshes import Surface
 
 Float = NDArray[np.float64]
@@ -57,10 +58,6 @@ def nearest_surface(
     return chosen
 
 
-def is_visible(obj: Any, view_layer: Any) -> bool:
-    return not obj.hide_render and bool(obj.visible_get(view_layer=view_layer))
-
-
 def _mean(distance: Float) -> float:
     # A last digit of the far distances keeps the nearest of several far objects.
     return float(np.mean(np.minimum(distance, FAR_M) + 1e-6 * distance))
@@ -68,8 +65,6 @@ def _mean(distance: Float) -> float:
 
 def _box_distance(points: Float, obj: Any, depsgraph: Any) -> Float:
     """Lower bound on each point's distance to an object: to its world-aligned bounding box (Blender units)."""
-    evaluated = obj.evaluated_get(depsgraph)
-    world = np.array(evaluated.matrix_world, dtype=np.float64)
-    corners = np.array([tuple(corner) for corner in evaluated.bound_box]) @ world[:3, :3].T + world[:3, 3]
-    outside = np.maximum(np.maximum(corners.min(axis=0) - points, points - corners.max(axis=0)), 0.0)
+    low, high = world_box(obj, depsgraph)
+    outside = np.maximum(np.maximum(low - points, points - high), 0.0)
     return np.asarray(np.linalg.norm(outside, axis=1))

@@ -18,8 +18,8 @@ from hnf_core.errors import SceneError
 from hnf_core.scene.raycast import Hits, RayCaster
 
 from .. import compat
+from .boxes import is_visible, world_box
 from .meshes import Surface, ray_caster, surface_mesh
-from .nearest_surface import is_visible
 
 Float = NDArray[np.float64]
 Surfaces = Callable[[Any], Surface]
@@ -234,11 +234,7 @@ class _Neighbours:
         for other in scene.objects:
             if other == obj or other.type != "MESH" or not is_visible(other, depsgraph.view_layer):
                 continue
-            evaluated = other.evaluated_get(depsgraph)
-            world = np.array(evaluated.matrix_world, dtype=np.float64)
-            corners = np.array([tuple(corner) for corner in evaluated.bound_box]) @ world[:3, :3].T + world[:3, 3]
-            corners *= metres_per_unit
-            self._boxes.append((corners.min(axis=0), corners.max(axis=0), other))
+            self._boxes.append((*world_box(other, depsgraph, metres_per_unit), other))
 
     def leave_free(self, points: Float, normal: Float, height_m: float) -> bool:
         """Whether nothing stands within height_m above surface-frame points (k, 3), along normal."""

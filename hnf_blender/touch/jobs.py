@@ -13,11 +13,10 @@ from hnf_core.files import content_hash
 from hnf_core.material.library import LIBRARY_PATH, find
 from hnf_core.material.token import ENCODER_ID
 
-from ..bridge.boxes import neighbours_hash_parts
+from ..bridge.boxes import is_visible, neighbours_hash_parts
 from ..bridge.hashes import material_hash
 from ..bridge.importers import size_warning
 from ..bridge.meshes import Surface, mesh_hash, surface_mesh
-from ..bridge.nearest_surface import is_visible
 from ..bridge.placement import default_slots, place_primitive
 from ..bridge.stage import looks_at_world
 from ..bridge.strokes import SceneStroke, read_stroke, stroke_hash, stroke_objects

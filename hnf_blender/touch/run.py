@@ -72,7 +72,7 @@ def touch_steps(
         return
     baked: list[BakedStroke] = []
     total = len(found.jobs) + 1
-    views = Views(session.scene, session.metres_per_unit, report.counts)
+    views = Views(session.scene, lambda: session.depsgraph, session.metres_per_unit, report.counts)
     for done, job in enumerate(found.jobs):
         yield Progress(job.name, done, total)
         try:

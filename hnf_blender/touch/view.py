@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,6 +14,7 @@ from hnf_core.export.path_on_view import StrokeView
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.view import RgbdView
 
+from ..bridge.boxes import world_box
 from ..bridge.meshes import Surface
 from ..bridge.picture import render_overview
 from ..bridge.scene_camera import camera_record, overview_camera
@@ -44,8 +46,8 @@ class Overview:
 class Views:
     """Overviews of one run; a scene camera that serves several strokes is rendered once."""
 
-    def __init__(self, scene: Any, metres_per_unit: float, counts: Counts) -> None:
-        self._scene, self._metres, self._counts = scene, metres_per_unit, counts
+    def __init__(self, scene: Any, depsgraph: Callable[[], Any], metres_per_unit: float, counts: Counts) -> None:
+        self._scene, self._depsgraph, self._metres, self._counts = scene, depsgraph, metres_per_unit, counts
         self._from_scene_camera: Overview | None = None
 
     def of_stroke(self, contacts: Contacts, surface: Surface, touched: Any) -> tuple[StrokeView, tuple[str, ...]]:
@@ -64,7 +66,7 @@ class Views:
         return StrokeView(overview.view.rgb, uv, contacts.force, _visible(overview.view, uv, depth)), overview.notes
 
     def _render(self, camera: Camera, path: Float, touched: Any) -> Overview:
-        objects = in_view(self._scene, camera, path, touched, self._metres)
+        objects = in_view(self._scene, self._depsgraph(), camera, path, touched, self._metres)
         self._counts.renders += 1
         view, notes = render_overview(
             self._scene,
@@ -105,7 +107,9 @@ def shows(camera: Camera, path: Float) -> bool:
     return bool(extent >= LEAST_SHARE * camera.width)
 
 
-def in_view(scene: Any, camera: Camera, path: Float, touched: Any, metres_per_unit: float) -> list[Any]:
+def in_view(
+    scene: Any, depsgraph: Any, camera: Camera, path: Float, touched: Any, metres_per_unit: float
+) -> list[Any]:
     """The touched object and the nearest visible neighbours whose bounding sphere meets the picture."""
     middle = path.mean(axis=0)
     near: list[tuple[float, Any]] = []
@@ -114,10 +118,8 @@ def in_view(scene: Any, camera: Camera, path: Float, touched: Any, metres_per_un
             continue
         if obj.type == "CURVE" and obj.hnf_stroke.is_stroke:
             continue
-        corners = np.array([list(corner) for corner in obj.bound_box]) @ np.array(obj.matrix_world.to_3x3()).T
-        corners = (corners + np.array(obj.matrix_world.translation)) * metres_per_unit
-        centre = corners.mean(axis=0)
-        radius = float(np.linalg.norm(corners - centre, axis=1).max())
+        low, high = world_box(obj, depsgraph, metres_per_unit)
+        centre, radius = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
         if meets_view(camera, centre, radius):
             near.append((float(np.linalg.norm(centre - middle)) - radius, obj))
     chosen, faces = [touched], 0
