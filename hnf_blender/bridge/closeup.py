@@ -33,6 +33,8 @@ Mask = NDArray[np.bool_]
 
 FLAT_M = 1e-9
 """A relief lower than this is no micro-geometry: the shader says nothing."""
+APPEARANCE_PIXELS = 128
+"""Side of a close-up where the shader has no relief: mean shading values and covered faces are all there is to see."""
 LIFT_M = 1e-4
 """What lies nearer above a patch's centre is the patch itself, within the precision of its place."""
 STEEPEST = 4.0
@@ -88,7 +90,8 @@ def render_closeups(
     """Close-ups of several patches of one object, on one temporary stage: one render a patch.
 
     obj: the touched object. patches: in its surface frame. surface, caster: of obj at frame, made here where not
-    given. pixels: side of the square image. metres_per_unit: of the user's scene. frame: scene frame, None = now.
+    given. pixels: side of the square image, at most APPEARANCE_PIXELS where the shader has no relief.
+    metres_per_unit: of the user's scene. frame: scene frame, None = now.
     samples: also light the patch with a neutral dome and render the original shader with so many samples (rgb).
     Raises SceneError for a missing texture (naming object, material and image) and where there is no surface. The
     user's file is left as it was, also on errors.
@@ -109,7 +112,8 @@ def render_closeups(
         temporary.scene.render.use_persistent_data = len(patches) > 1
         made = []
         for patch in patches:
-            camera, rays = _unoccluded(patch, pixels, caster)
+            side = pixels if _has_relief(readings[patch.slot]) else min(pixels, APPEARANCE_PIXELS)
+            camera, rays = _unoccluded(patch, side, caster)
             passes: Passes = {}
             if readings[patch.slot].taps:
                 aim(temporary.scene, camera_object, camera, stage.rigid, stage.metres_per_unit)
@@ -126,6 +130,11 @@ def render_closeups(
             for each, rgb in zip(made, pictures, strict=True)
         ]
     return made
+
+
+def _has_relief(slot: SlotReading) -> bool:
+    micros = [each.micro for each in closures(slot.reading.layers)] + [slot.reading.displacement]
+    return any(micro.reliefs or micro.slopes for micro in micros)
 
 
 @dataclass(frozen=True)
