@@ -27,8 +27,11 @@ FLOORS = (
     ("action", "material"),
     ("field",),
     ("simulation",),
+    ("datasets",),
     ("training",),
+    ("baselines",),
     ("export",),
+    ("evaluation",),
     ("cli",),
 )
 FLOOR_OF = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
@@ -69,7 +72,7 @@ def knows_blender(path: Path, tree: ast.Module) -> list[str]:
 
 
 def uses_training_modules_elsewhere(path: Path, tree: ast.Module) -> list[str]:
-    if path.is_relative_to(CORE / "training"):
+    if path.is_relative_to(CORE / "training") or path.is_relative_to(CORE / "baselines"):
         return []
     return [f"line {line}: {name}" for line, name in absolute_imports(tree) if name in TRAINING_MODULES]
 
