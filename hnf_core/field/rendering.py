@@ -21,30 +21,57 @@ def render_weights(sigma_dt: ArrayLike) -> NDArray[Any]:
     """w_n = exp(−Σ_{j<n} σ_jΔt) · (1 − exp(−σ_nΔt)).
 
     sigma_dt: (..., N) densities times step, each in [0, ∞]; the nearest state first. Returns the same shape and float
-    dtype; each weight is in [0, 1], their sum is 1 − exp(−Σ σΔt). Types narrower than float32 are accumulated in
-    float32; integers become float64.
+    dtype; each weight is in [0, 1], their sum is 1 − exp(−Σ σΔt). float16 is accumulated in float32, float32 and
+    float64 in float64; integers become float64. Errors: docs/numerics.md.
     """
-    sigma_dt = np.asarray(sigma_dt)
-    # Extension types such as bfloat16 are not of numpy's floating family, but hold two bytes.
-    narrow = sigma_dt.dtype.itemsize == 2 and sigma_dt.dtype.kind in "fV"
-    if narrow:
-        density = sigma_dt.astype(np.float32)
-    else:
-        density = sigma_dt if sigma_dt.dtype.kind == "f" else sigma_dt.astype(np.float64)
-    # Transmittance stays a sum of logarithms until the end: a running product would lose small densities to 1 − ε.
-    log_transmittance = np.zeros_like(density)
-    log_transmittance[..., 1:] = -np.cumsum(density[..., :-1], axis=-1)
-    weights = np.exp(log_transmittance) * -np.expm1(-density)
-    return np.asarray(weights.astype(sigma_dt.dtype) if narrow else weights)
+    density = np.asarray(sigma_dt)
+    if density.dtype.kind != "f":
+        density = density.astype(np.float64)
+    return _weights(density.astype(_wide(density.dtype))).astype(density.dtype, copy=False)
 
 
 def render(sigma_dt: ArrayLike, emission: ArrayLike) -> NDArray[Any]:
-    """â = Σ_n w_n α_n. sigma_dt: (..., N); emission: (..., N) or (..., N, K). Returns (...,) or (..., K)."""
-    weights = render_weights(sigma_dt)
-    emission = np.asarray(emission)
-    if emission.ndim == weights.ndim:
-        return np.asarray(np.sum(weights * emission, axis=-1))
-    return np.asarray(np.sum(weights[..., None] * emission, axis=-2))
+    """â = Σ_n w_n α_n. sigma_dt: (..., N); emission: (..., N) or (..., N, K), finite. Returns (...,) or (..., K).
+
+    The result lies between the least and the greatest of 0 and α_n, up to the type's limits: finite where α is.
+    """
+    density, emission = np.asarray(sigma_dt), np.asarray(emission)
+    dtype = np.result_type(density.dtype, emission.dtype, np.float16)
+    weights, alpha = _weights(density.astype(_wide(dtype))), emission.astype(_wide(dtype))
+    single = alpha.ndim == weights.ndim
+    if single:
+        alpha = alpha[..., None]
+    # Rounded weights may sum to a little over 1, and so the largest number there is to infinity.
+    with np.errstate(over="ignore"):
+        total = (weights[..., None, :] @ alpha)[..., 0, :]
+    total = np.clip(total, alpha.min(axis=-2, initial=0.0), alpha.max(axis=-2, initial=0.0)).astype(dtype)
+    return np.asarray(total[..., 0] if single else total)
+
+
+def prefix_sums(values: NDArray[Any]) -> NDArray[Any]:
+    """(..., N) → Σ_{j≤n}, in ⌈log2 N⌉ rounds of pairs (Hillis & Steele 1986, CACM 29).
+
+    A running sum rounds N times, always the same way where the terms are equal: at N = 4096 that cost 300 times more
+    of the transmittance's digits. Sums beyond the type are infinite.
+    """
+    step = 1
+    with np.errstate(over="ignore"):
+        while step < values.shape[-1]:
+            values = np.concatenate([values[..., :step], values[..., step:] + values[..., :-step]], axis=-1)
+            step *= 2
+    return values
+
+
+def _weights(density: NDArray[Any]) -> NDArray[Any]:
+    # Transmittance stays a sum of logarithms until the end: a running product would lose small densities to 1 − ε.
+    before = np.zeros_like(density)
+    before[..., 1:] = prefix_sums(density[..., :-1])
+    return np.asarray(np.exp(-before) * -np.expm1(-density))
+
+
+def _wide(dtype: np.dtype[Any]) -> np.dtype[Any]:
+    """What a type is accumulated in. exp(−S) multiplies the error of S, so float32 would lose digits in float32."""
+    return np.dtype(np.float32) if dtype.itemsize == 2 else np.promote_types(dtype, np.float64)
 
 
 def render_weights_reference(sigma_dt: ArrayLike) -> Float:

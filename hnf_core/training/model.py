@@ -14,9 +14,20 @@ from ..field.field import LOG_AMPLITUDE_CEILING, FieldConfig
 
 
 def render_weights(sigma_dt: Tensor) -> Tensor:
-    """Twin of field.rendering.render_weights; gradients are finite for σΔt in [0, ∞)."""
-    before = functional.pad(sigma_dt[..., :-1], (1, 0)).cumsum(dim=-1)
-    return torch.exp(-before) * -torch.expm1(-sigma_dt)
+    """Twin of field.rendering.render_weights: (..., N) → (..., N), gradients finite for σΔt in [0, ∞].
+
+    float16 and bfloat16 are accumulated in float32, float32 and float64 in float64, gradients likewise.
+    """
+    narrow = sigma_dt.dtype in (torch.float16, torch.bfloat16)
+    density = sigma_dt.to(torch.float32 if narrow else torch.float64)
+    before = functional.pad(density[..., :-1], (1, 0))
+    step = 1
+    while step < before.shape[-1]:  # as field.rendering.prefix_sums
+        before = torch.cat([before[..., :step], before[..., step:] + before[..., :-step]], dim=-1)
+        step *= 2
+    # expm1's own gradient, expm1 + 1, has lost exp(−x) for large x; 1 − exp(−x) has lost x for small x.
+    absorbed = torch.where(density < 0.5, -torch.expm1(-density), 1.0 - torch.exp(-density))
+    return (torch.exp(-before) * absorbed).to(sigma_dt.dtype)
 
 
 class FieldNetwork(nn.Module):
