@@ -1,0 +1,46 @@
+"""What every data set can be asked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from .recording import Process, Recording
+
+
+@dataclass(frozen=True)
+class ActionRange:
+    """Limits (low, high), all above 0, that wandering_action takes: where a texture's data really lie.
+
+    angle_rad: directions that differ in the data; a full circle where the data do not know direction.
+    """
+
+    speed_m_s: tuple[float, float]
+    force_n: tuple[float, float]
+    angle_rad: tuple[float, float] = (0.0, 2.0 * np.pi)
+
+
+class DataSet(Protocol):
+    """Names are matched without case, blanks and underscores; an unknown one raises MaterialError with near ones."""
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """Sorted names. Raises FileError where the folder holds nothing of the data set."""
+        ...
+
+    def recordings(self, name: str) -> list[Recording]:
+        """Everything recorded of a material, empty where the data set holds models only."""
+        ...
+
+    def process(self, name: str) -> Process | None:
+        """What can be stroked anew; None where there are recordings only."""
+        ...
+
+    def action_range(self, name: str) -> ActionRange: ...
+
+    def image(self, name: str) -> Path | None:
+        """A photograph of the material, where there is one."""
+        ...

@@ -1,0 +1,41 @@
+"""Files of a user's folder, whatever its sub-folders are called."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from ..errors import FileError
+
+DEEPEST = 8
+MOST_FILES = 500_000
+
+
+def files_below(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
+    """Sorted files with one of the suffixes (lower case, with dot), at most DEEPEST folders down; links to folders are
+    not followed, hidden ones are left out. Raises FileError where folder is none, or holds more than MOST_FILES files.
+    """
+    if not folder.is_dir():
+        raise FileError("this is no folder.", where=str(folder), remedy="Give the folder that holds the data set.")
+    found: list[Path] = []
+    seen = 0
+    for here, folders, names in os.walk(folder):
+        depth = len(Path(here).relative_to(folder).parts)
+        folders[:] = [] if depth >= DEEPEST else [name for name in folders if not name.startswith(".")]
+        seen += len(names)
+        if seen > MOST_FILES:
+            raise FileError(
+                f"more than {MOST_FILES} files.", where=str(folder), remedy="Give the data set's own folder."
+            )
+        found += [Path(here) / name for name in names
+                  if not name.startswith(".") and os.path.splitext(name)[1].lower() in suffixes]  # fmt: skip
+    return sorted(found)
+
+
+def opening(path: Path, size: int = 4096) -> bytes:
+    """The first bytes of a file; empty where it cannot be read (who needs the file will say so)."""
+    try:
+        with path.open("rb") as stream:
+            return stream.read(size)
+    except OSError:
+        return b""

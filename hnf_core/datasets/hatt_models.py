@@ -1,0 +1,235 @@
+"""Texture models of the Penn Haptic Texture Toolkit (HaTT): one XML file → one TextureModel.
+
+H. Culbertson, J. J. López Delgado & K. J. Kuchenbecker (2014), "One hundred data-driven haptic texture models and
+open-source methods for rendering on 3D objects", IEEE Haptics Symposium.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import FileError
+from .line_spectra import lsf_from_polynomial
+from .safe_xml import read_xml
+from .written_units import unit_factor
+
+Float = NDArray[np.float64]
+_AGAIN = "Get the file again from the toolkit."
+
+
+@dataclass(frozen=True)
+class TextureModel:
+    """Filters at V points of the speed–force plane, and the triangles between them. SI units.
+
+    speeds (V,) m/s, forces (V,) N. triangles (T, 3) indices into them, counted from 0 (the file counts from 1).
+    ar_lsf (V, p), ma_lsf (V, q) line spectral frequencies in (0, π); q = 0 for a purely autoregressive model.
+    variances (V,) of the excitation, (m/s²)². gains (V,): 1 in autoregressive models. sample_rate: Hz of the filters.
+    friction: Coulomb μ, None where the file has none. max_speed m/s, max_force N. notes: what the reader assumed.
+    """
+
+    material: str
+    source: str
+    sample_rate: float
+    speeds: Float
+    forces: Float
+    triangles: NDArray[np.int64]
+    ar_lsf: Float
+    ma_lsf: Float
+    variances: Float
+    gains: Float
+    friction: float | None
+    max_speed: float
+    max_force: float
+    notes: tuple[str, ...] = ()
+
+
+def read_texture_model(path: Path) -> TextureModel:
+    """Read a model file (10 kHz AR or 1 kHz ARMA). Case of tags and blanks do not matter; missing units, counts and
+    maxima are taken as the toolkit has them, and said in notes; LSFs that are missing follow from the coefficients.
+
+    Raises FileError (what and where in the file) for everything that makes no usable model.
+    """
+    where = str(path)
+    root = next((e for e in read_xml(path).iter() if e.tag.lower() == "modelset"), None)
+    if root is None:
+        raise FileError("there is no modelSet in it.", where=where, remedy="Give a HaTT model (Models_….xml).")
+    notes: list[str] = []
+    speed_unit, force_unit, accel_unit = (
+        _unit(root, tag, quantity, default, where, notes)
+        for tag, quantity, default in (
+            ("SpeedUnits", "speed", "mm/s"),
+            ("ForceUnits", "force", "N"),
+            ("AccelUnits", "acceleration", "m/s^2"),
+        )
+    )
+    models = [child for child in root if child.tag.lower() == "model"]
+    count = _count(root, "numMod", len(models), "models", where)
+    speeds = speed_unit * _vertices(root, models, "speedList", "speedMod", count, where)
+    forces = force_unit * _vertices(root, models, "forceList", "forceMod", count, where)
+    ar_lsf, ma_lsf, variances, gains = _filters(models, where)
+    return TextureModel(
+        material=_text(root, "material") or path.stem.removeprefix("Models_"),
+        source=where,
+        sample_rate=_positive(root, "SampleRate", 10_000.0, where, notes),
+        speeds=speeds,
+        forces=forces,
+        triangles=_triangles(root, speeds, forces, where, notes),
+        ar_lsf=ar_lsf,
+        ma_lsf=ma_lsf,
+        variances=variances * accel_unit**2,
+        gains=gains,
+        friction=_friction(root, where),
+        max_speed=speed_unit * _positive(root, "maxSpeed", float(speeds.max()) / speed_unit, where, notes),
+        max_force=force_unit * _positive(root, "maxForce", float(forces.max()) / force_unit, where, notes),
+        notes=tuple(notes),
+    )
+
+
+def _find(parent: Element, tag: str) -> Element | None:
+    return next((child for child in parent if child.tag.lower() == tag.lower()), None)
+
+
+def _text(parent: Element, tag: str) -> str:
+    child = _find(parent, tag)
+    return " ".join((child.text or "").split()) if child is not None else ""
+
+
+def _unit(root: Element, tag: str, quantity: str, default: str, where: str, notes: list[str]) -> float:
+    written = _text(root, tag)
+    if not written:
+        notes.append(f"{tag} is missing: taken as {default}")
+    return unit_factor(quantity, written or default, f"{where}, {tag}")
+
+
+def _numbers(element: Element | None, place: str) -> Float:
+    """<value> children, or numbers separated by blanks or commas; () where there is no element or it is empty."""
+    if element is None:
+        return np.zeros(0)
+    texts: Iterable[str | None] = [child.text for child in element] if len(element) else (element.text or "").split()
+    words = [word.strip(",;") for text in texts for word in (text or "").split()]
+    try:
+        numbers = np.array([float(word) for word in words])
+    except ValueError as error:
+        raise FileError(f"{error}.", where=place, remedy=_AGAIN) from error
+    if not np.isfinite(numbers).all():
+        raise FileError(f"value {int(np.argmin(np.isfinite(numbers))) + 1} is not finite.", where=place, remedy=_AGAIN)
+    return numbers
+
+
+def _number(parent: Element, tag: str, where: str) -> float | None:
+    numbers = _numbers(_find(parent, tag), f"{where}, {tag}")
+    if len(numbers) > 1:
+        raise FileError(f"{len(numbers)} numbers instead of one.", where=f"{where}, {tag}", remedy=_AGAIN)
+    return float(numbers[0]) if len(numbers) else None
+
+
+def _positive(root: Element, tag: str, default: float, where: str, notes: list[str]) -> float:
+    value = _number(root, tag, where)
+    if value is None:
+        notes.append(f"{tag} is missing: taken as {default:g}")
+        value = default
+    if value <= 0.0:
+        raise FileError(f"{value:g} is not above 0.", where=f"{where}, {tag}", remedy=_AGAIN)
+    return value
+
+
+def _friction(root: Element, where: str) -> float | None:
+    value = _number(root, "mu", where)
+    if value is not None and value < 0.0:
+        raise FileError(f"friction {value:g} is negative.", where=f"{where}, mu", remedy=_AGAIN)
+    return value
+
+
+def _count(root: Element, tag: str, found: int, things: str, where: str) -> int:
+    said = _number(root, tag, where)
+    if found == 0 or (said is not None and said != found):
+        announced = "" if said is None else f", {said:g} announced"
+        raise FileError(f"{found} {things}{announced}.", where=f"{where}, {tag}", remedy=_AGAIN)
+    return found
+
+
+def _vertices(root: Element, models: list[Element], tag: str, own: str, count: int, where: str) -> Float:
+    values = _numbers(_find(root, tag), f"{where}, {tag}")
+    if len(values) == 0:
+        each = [_number(model, own, f"{where}, model {index}") for index, model in enumerate(models, start=1)]
+        values = np.array([value for value in each if value is not None])
+    if len(values) != count:
+        raise FileError(f"{len(values)} values for {count} models.", where=f"{where}, {tag}", remedy=_AGAIN)
+    if values.min() < 0.0 or values.max() == 0.0:
+        raise FileError("values must be 0 or more, and not all 0.", where=f"{where}, {tag}", remedy=_AGAIN)
+    return values
+
+
+def _triangles(root: Element, speeds: Float, forces: Float, where: str, notes: list[str]) -> NDArray[np.int64]:
+    found = [child for child in root if child.tag.lower() == "tri"]
+    _count(root, "numTri", len(found), "triangles", where)
+    rows = [_numbers(tri, f"{where}, tri {index}") for index, tri in enumerate(found, start=1)]
+    for index, row in enumerate(rows, start=1):
+        if len(row) != 3 or np.any(row != np.round(row)) or row.min() < 1 or row.max() > len(speeds):
+            raise FileError(
+                f"{row.tolist()} are not three vertices between 1 and {len(speeds)}.",
+                where=f"{where}, tri {index}",
+                remedy=_AGAIN,
+            )
+    triangles = np.array(rows).astype(np.int64) - 1
+    points = np.stack([speeds / speeds.max(), forces / forces.max()], axis=1)[triangles]
+    (ax, ay), (bx, by) = (points[:, 1] - points[:, 0]).T, (points[:, 2] - points[:, 0]).T
+    flat = np.abs(ax * by - ay * bx) < 1e-9
+    if flat.all():
+        raise FileError("no triangle has an area.", where=f"{where}, tri", remedy=_AGAIN)
+    if flat.any():
+        notes.append(f"{int(flat.sum())} triangles without area left out")
+    return np.asarray(triangles[~flat])
+
+
+def _filters(models: list[Element], where: str) -> tuple[Float, Float, Float, Float]:
+    ar, ma, variances, gains = [], [], [], []
+    for index, model in enumerate(models, start=1):
+        place = f"{where}, model {index}"
+        ar.append(_lsf(model, "AR", place))
+        ma.append(_lsf(model, "MA", place))
+        variance, gain = _number(model, "var", place), _number(model, "gain", place)
+        if variance is None or variance < 0.0:
+            raise FileError("no variance of 0 or more.", where=f"{place}, var", remedy=_AGAIN)
+        variances.append(variance)
+        gains.append(1.0 if gain is None else gain)
+    for name, rows in (("AR", ar), ("MA", ma)):
+        for index, row in enumerate(rows, start=1):
+            if len(row) != len(ar[0] if name == "AR" else ma[0]):
+                raise FileError(
+                    f"order {len(row)}, but model 1 has {len(rows[0])}.",
+                    where=f"{where}, model {index}, {name}lsf",
+                    remedy=_AGAIN,
+                )
+    if len(ar[0]) == 0:
+        raise FileError("no autoregressive coefficients.", where=f"{where}, model 1, ARlsf", remedy=_AGAIN)
+    return np.array(ar), np.array(ma).reshape(len(models), -1), np.array(variances), np.array(gains)
+
+
+def _lsf(model: Element, kind: str, place: str) -> Float:
+    lsf = _numbers(_find(model, f"{kind}lsf"), f"{place}, {kind}lsf")
+    coefficients = _numbers(_find(model, f"{kind}coeff"), f"{place}, {kind}coeff")
+    if len(lsf) == 0 and len(coefficients) > 1:
+        try:
+            return lsf_from_polynomial(coefficients)
+        except ValueError as error:
+            raise FileError(f"{error}", where=f"{place}, {kind}coeff", remedy=_AGAIN) from error
+    if len(lsf) and len(coefficients) and len(coefficients) != len(lsf) + 1:
+        raise FileError(
+            f"{len(lsf)} frequencies beside {len(coefficients)} coefficients.",
+            where=f"{place}, {kind}lsf",
+            remedy=_AGAIN,
+        )
+    if len(lsf) and (lsf[0] <= 0.0 or lsf[-1] >= np.pi or np.any(np.diff(lsf) <= 0.0)):
+        raise FileError(
+            "line spectral frequencies must rise between 0 and π: the filter is not stable.",
+            where=f"{place}, {kind}lsf",
+            remedy=_AGAIN,
+        )
+    return lsf
