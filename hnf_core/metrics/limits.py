@@ -1,0 +1,70 @@
+"""What the data themselves allow: the oracle, and the best of all predictions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .magnitudes import spectral_mse, window_magnitudes
+
+Float = NDArray[np.float64]
+
+REALISATIONS = 32
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Of one stroke of one process.
+
+    mean_magnitude: (C, K) mean |X_k| over the realisations. power: mean E|X_k|² over windows and bins. best: spectral
+    MSE of the process's own E|X_k| against one realisation, the least that any prediction can score; oracle: of one
+    realisation against another, which for independent draws is exactly twice that. realisations: how many were taken.
+    """
+
+    mean_magnitude: Float
+    power: float
+    best: float
+    realisations: int
+
+    @property
+    def oracle(self) -> float:
+        return 2.0 * self.best
+
+    @property
+    def oracle_share(self) -> float:
+        """oracle / power: 2 − π/2 = 0.429 for a Gaussian texture."""
+        return self.oracle / self.power
+
+    @property
+    def best_share(self) -> float:
+        """best / power: 1 − π/4 = 0.215 for a Gaussian texture."""
+        return self.best / self.power
+
+    def expected_mse(self, magnitude: ArrayLike) -> float:
+        """Spectral MSE of a signal's |X_k| (C, K), averaged over all recordings that the process could have given.
+
+        E(|X̂| − |X|)² = (|X̂| − E|X|)² + var |X|; the scatter of the mean over finitely many draws is taken out.
+        """
+        return spectral_mse(magnitude, self.mean_magnitude) + self.best * (1.0 - 1.0 / self.realisations)
+
+
+def measure_limits(realisations: Sequence[ArrayLike]) -> Limits:
+    """Limits from signals of one stroke, equally long, each a new draw (seed, place on the surface) of the process.
+
+    Raises ValueError for fewer than REALISATIONS, or silent ones.
+    """
+    if len(realisations) < REALISATIONS:
+        raise ValueError(f"{len(realisations)} realisations tell too little of the limits: at least {REALISATIONS}.")
+    return limits_of([window_magnitudes(each) for each in realisations])
+
+
+def limits_of(magnitudes: Sequence[Float]) -> Limits:
+    """measure_limits, from the realisations' magnitudes (C, K) and for any number of them from 2."""
+    magnitude, count = np.stack(magnitudes), len(magnitudes)
+    power = float(np.mean(np.square(magnitude)))
+    if count < 2 or not power > 0.0:
+        raise ValueError("silent or single realisations have no limits.")
+    return Limits(magnitude.mean(axis=0), power, float(np.mean(magnitude.var(axis=0, ddof=1))), count)
