@@ -1,59 +1,191 @@
-"""How far a stroke leaves what the field was trained on: said in words, never clamped."""
+"""How far a stroke leaves what the field was trained on: said in words, never clamped.
+
+Each quantity has an excess: 0 inside its range, growing with the distance outside it (octaves of speed, force and
+stiffness, an eighth of a turn of direction, widths of the token's range). It multiplies the confidence by
+1 / (1 + excess), so that every octave outside halves it, then thirds it, and so on.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..action.action import Action
-from ..material.token import LEVELS, TOKEN_NAMES, band_slice
-from .field import Field, Ranges
+from ..material.mechanics import Mechanics
+from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, LEVELS, TOKEN_NAMES, band_slice
+from .field import Field
+from .ranges import SECTOR_RAD, Ranges, angle_to_sectors, nearest_in_hull
 from .stroke import StrokeInput
+
+Float = NDArray[np.float64]
+Remark = tuple[float, str]
+"""An excess above 0, and what to say of it."""
 
 SLACK = 1.05
 SLOW_SHARE = 0.25
 """Every stroke starts and ends slowly and lightly; only more than this share of it is worth a word."""
+PATH_SHARE = 0.1
+"""A pair of speed and force, or a direction, counts where more than this share of the path is further out: starts and
+ends cover little of it."""
+HULL_SLACK_OCTAVES = 0.25
+DIRECTION_SLACK_RAD = SECTOR_RAD
+"""Directions between trained ones are interpolated: up to two sectors without training between two that had it."""
+EIGHTH_TURN_RAD = np.pi / 4.0
+MIN_TOKEN_WIDTH = 0.5
+"""Range of a token feature trained on one material, or nearly: 10 dB of a level."""
+ORIENTED = 0.3
+"""Share of the waves' power that runs one way from which a direction can be felt."""
+OTHER_KIND = 1.0
+"""Excess of what has no distance: another probe, a value given that never was (or left open that never was)."""
+MOVING_M_S = 1e-4
 UNTRAINED = 0.2
+_UNITS = {
+    "stiffness_n_m": ("Stiffness", " N/m"),
+    "damping_ratio": ("The damping ratio", ""),
+    "friction": ("Friction", ""),
+}
 
 
 def examine(field: Field, stroke: StrokeInput, action: Action) -> tuple[float, tuple[str, ...]]:
-    """Confidence 0 … 1 and warnings, from speed, force and tokens against field.ranges."""
+    """Confidence 0 … 1 and warnings, with values and units, from all that field.ranges has on record.
+
+    Inside every range it is exactly 1 and nothing is said. action: the stroke's own, at the rate it is felt at.
+    """
     ranges = field.ranges
     if ranges is None:
         return UNTRAINED, ("The field is not trained.",)
-    factors, warnings = [1.0], []
     touching = action.contact & (action.force > 0.0)
-    moving = touching & (action.speed > 1e-4)
     if not touching.any():
         return 1.0, ("The stroke never touches anything: the signal is silent.",)
-    for name, unit, scale, values, limits in (
-        ("speed", "mm/s", 1e3, action.speed[moving], ranges.speed),
-        ("force", "N", 1.0, action.force[touching], ranges.force),
-    ):
-        if len(values) == 0:
+    moving = touching & (action.speed > MOVING_M_S)
+    touched = np.unique(stroke.token_index[stroke.action.contact])
+    tokens, mechanics = stroke.tokens[touched], [stroke.mechanics[index] for index in touched]
+    remarks = [
+        *_span("Speed", " mm/s", 1e3, action.speed[moving], ranges.speed),
+        *_span("Force", " N", 1.0, action.force[touching], ranges.force),
+        *_pair(action.speed[moving], action.force[moving], ranges),
+        *_direction(action.direction[moving], action.speed[moving], ranges, tokens),
+        *_token(tokens, ranges),
+        *_mechanics(mechanics, ranges),
+        *_probe(action.probe, ranges),
+    ]
+    confidence = np.prod([1.0 / (1.0 + excess) for excess, _ in remarks])
+    return float(confidence), tuple(text for _, text in remarks)
+
+
+def _span(name: str, unit: str, scale: float, values: Float, limits: tuple[float, float]) -> Iterator[Remark]:
+    if len(values) == 0:
+        return
+    trained = f"trained on {_plain(limits[0] * scale)}–{_plain(limits[1] * scale)}{unit}"
+    high, low = float(values.max()), float(np.quantile(values, SLOW_SHARE))
+    if high > limits[1] * SLACK:
+        yield float(np.log2(high / limits[1])), f"{name} reaches {_plain(high * scale)}{unit}, {trained}."
+    if low < limits[0] / SLACK:
+        text = f"{name} is {_plain(low * scale)}{unit} or less for {SLOW_SHARE:.0%} of the stroke, {trained}."
+        yield float(np.log2(limits[0] / low)), text
+
+
+def _pair(speed: Float, force: Float, ranges: Ranges) -> Iterator[Remark]:
+    """Speed and force each in range, but never met together: a corner of the box without training."""
+    if ranges.hull is None or len(speed) == 0:
+        return
+    box = np.log2(np.array([ranges.speed, ranges.force]))
+    # What lies outside the box was said already; inside it the nearest trained pair is what counts.
+    pairs = np.clip(np.log2(np.stack([speed, force], axis=1)), box[:, 0], box[:, 1])
+    near = nearest_in_hull(np.log2(ranges.hull), pairs)
+    excess = np.linalg.norm(pairs - near, axis=1)
+    at = _on_path(excess, speed)
+    if excess[at] > HULL_SLACK_OCTAVES:
+        (v, f), (trained_v, trained_f) = np.exp2(pairs[at]), np.exp2(near[at])
+        nearest = f"{_plain(trained_v * 1e3)} mm/s with {_plain(trained_f)} N"
+        text = f"{_plain(v * 1e3)} mm/s together with {_plain(f)} N was never trained; the nearest is {nearest}."
+        yield float(excess[at]), text
+
+
+def _direction(direction: Float, speed: Float, ranges: Ranges, tokens: NDArray[np.float32]) -> Iterator[Remark]:
+    if ranges.sectors is None or len(speed) == 0:
+        return
+    if not ranges.sectors:
+        share = _oriented(tokens)
+        if share > ORIENTED:
+            text = f"Training never told directions apart, but {share:.0%} of this surface's waves run one way"
+            yield share, f"{text}: it is felt alike in every direction."
+        return
+    angle = np.arctan2(direction[:, 1], direction[:, 0])
+    apart, nearest = angle_to_sectors(ranges.sectors, angle)
+    at = _on_path(apart, speed)
+    excess = float(apart[at]) - DIRECTION_SLACK_RAD
+    if excess > 1e-9:
+        trained = (np.degrees(nearest[at] * SECTOR_RAD) + 180.0) % 360.0 - 180.0
+        text = f"Direction {np.degrees(angle[at]):.0f}° (0° is left to right) was never trained; the nearest is"
+        yield excess / EIGHTH_TURN_RAD, f"{text} {trained:.0f}°."
+
+
+def _token(tokens: NDArray[np.float32], ranges: Ranges) -> Iterator[Remark]:
+    """The token feature furthest outside training among the touched materials, in widths of its range."""
+    width = np.maximum(ranges.token_high - ranges.token_low, MIN_TOKEN_WIDTH)
+    excess = np.maximum(ranges.token_low - tokens, tokens - ranges.token_high) / width
+    excess = np.where(_tells(tokens), excess, 0.0)
+    material, feature = np.unravel_index(np.argmax(excess), excess.shape)
+    worst = float(excess[material, feature])
+    if worst > SLACK - 1.0:
+        what, unit, value = _feature(int(feature))
+        low, high = sorted((value(float(ranges.token_low[feature])), value(float(ranges.token_high[feature]))))
+        found = _plain(value(float(tokens[material, feature])))
+        text = f"{what} is {found}{unit}, trained on {_plain(low)}–{_plain(high)}{unit}"
+        yield worst, f"Its surface is unlike any in training ({text}): the signal is a guess there."
+
+
+def _mechanics(mechanics: list[Mechanics], ranges: Ranges) -> Iterator[Remark]:
+    for name, given in (ranges.mechanics or {}).items():
+        what, unit = _UNITS[name]
+        values = [getattr(each, name) for each in mechanics]
+        known = [float(value) for value in values if value is not None]
+        if len(known) < len(values) and not given.unknown:
+            yield OTHER_KIND, f"{what} is unknown here; in training it was always given."
+        if not known:
             continue
-        span = f"{limits[0] * scale:g}–{limits[1] * scale:g} {unit}"
-        if values.max() > limits[1] * SLACK:
-            factors.append(limits[1] / float(values.max()))
-            warnings.append(f"{name.capitalize()} reaches {values.max() * scale:.3g} {unit}, trained on {span}.")
-        if np.mean(values < limits[0] / SLACK) > SLOW_SHARE:
-            factors.append(0.8)
-            warnings.append(f"{name.capitalize()} stays below {limits[0] * scale:g} {unit}, trained on {span}.")
-    worst, excess = _worst_feature(stroke, ranges)
-    if excess > SLACK - 1.0:
-        factors.append(1.0 / (1.0 + excess))
-        warnings.append(f"Its surface is unlike any in training ({_in_words(worst)}): the signal is a guess there.")
-    return float(np.prod(factors)), tuple(warnings)
+        if given.span is None:
+            yield OTHER_KIND, f"{what} is {_plain(known[0])}{unit}; training never gave it."
+            continue
+        (low, high), least, most = given.span, min(known), max(known)
+        trained = f"trained on {_plain(low)}–{_plain(high)}{unit}"
+        if most > high * SLACK:
+            yield _octaves(most, high), f"{what} is {_plain(most)}{unit}, {trained}."
+        if least < low / SLACK:
+            yield _octaves(low, least), f"{what} is {_plain(least)}{unit}, {trained}."
 
 
-def _worst_feature(stroke: StrokeInput, ranges: Ranges) -> tuple[int, float]:
-    """The token feature furthest outside training among the touched materials, and how far (in training widths)."""
-    touched = stroke.tokens[np.unique(stroke.token_index[stroke.action.contact])]
-    width = np.maximum(ranges.token_high - ranges.token_low, 1e-3)
-    excess = np.maximum(ranges.token_low - touched, touched - ranges.token_high) / width
-    excess = np.where(_tells(touched), excess, 0.0).max(axis=0)
-    worst = int(np.argmax(excess))
-    return worst, float(excess[worst])
+def _probe(probe: str, ranges: Ranges) -> Iterator[Remark]:
+    if ranges.probes is not None and probe not in ranges.probes:
+        yield OTHER_KIND, f"Touched with the {probe}; trained with the {' and the '.join(ranges.probes)}."
+
+
+def _on_path(excess: Float, speed: Float) -> int:
+    """The state beyond whose excess less than PATH_SHARE of the path lies."""
+    order = np.argsort(-excess, kind="stable")
+    path = np.cumsum(speed[order])
+    return int(order[np.searchsorted(path, PATH_SHARE * path[-1])])
+
+
+def _plain(value: float) -> str:
+    """Three significant digits, without an exponent where people write none (10000, not 1e+04)."""
+    return f"{float(f'{value:.3g}'):.12g}"
+
+
+def _octaves(above: float, below: float) -> float:
+    """log2 of the ratio; where one is 0, as if it were a thousandth of the other."""
+    return float(np.log2(above / max(below, 1e-3 * above)))
+
+
+def _oriented(tokens: NDArray[np.float32]) -> float:
+    """Two-fold anisotropy of the strongest band, of the material where it is largest: 0 … 1."""
+    band = np.argmax(tokens[:, LEVELS], axis=1)
+    start = np.array([band_slice(int(each)).start for each in band])
+    rows = np.arange(len(tokens))
+    return float(min(1.0, np.hypot(tokens[rows, start + 1], tokens[rows, start + 2]).max()))
 
 
 def _tells(tokens: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -68,9 +200,19 @@ def _tells(tokens: NDArray[np.float32]) -> NDArray[np.bool_]:
     return out
 
 
-def _in_words(feature: int) -> str:
+def _feature(feature: int) -> tuple[str, str, Callable[[float], float]]:
+    """What a token feature is called, its unit, and its value in that unit."""
     name, _, wave = TOKEN_NAMES[feature].partition("@")
-    if not wave:
-        return "the shape of its pits and grains"
-    what = {"level": "the height", "peak": "the regularity", "offset": "the pitch"}.get(name, "the direction")
-    return f"{what} of its waves about {wave.removesuffix('mm')} mm long"
+    if name == "skewness":
+        return "the skewness of its pits and grains", "", float
+    if name == "log_kurtosis":
+        return "the kurtosis of its pits and grains", "", lambda value: 3.0 * 10.0**value
+    waves = f"of its waves about {wave.removesuffix('mm')} mm long"
+    if name == "level":
+        return f"the height {waves}", " µm RMS", lambda value: 1e6 * 10.0**value
+    if name == "peak":
+        return f"the regularity {waves}", "", float
+    if name == "offset":
+        centre = float(BAND_WAVELENGTHS_M[feature // len(BAND_FEATURES)])
+        return f"the pitch {waves}", " mm", lambda value: 1e3 * centre / 2.0**value
+    return f"the orientation ({name}) {waves}", "", float

@@ -19,6 +19,7 @@ from ..action.action import ACTION_RATE_HZ
 from .carriers import Carriers
 from .features import build_inputs, input_size
 from .linear_contact import Condition
+from .ranges import Ranges
 from .rendering import render_weights
 
 Float = NDArray[np.float64]
@@ -96,16 +97,6 @@ class FieldConfig:
         if self.physics:
             shapes["skip"] = (self.carriers.count,)
         return shapes
-
-
-@dataclass(frozen=True)
-class Ranges:
-    """What a field has seen in training. speed, force: (low, high), m/s and N. token_low, token_high: (TOKEN_DIM,)."""
-
-    speed: tuple[float, float]
-    force: tuple[float, float]
-    token_low: NDArray[np.float32]
-    token_high: NDArray[np.float32]
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,8 @@ from ..material.material import Appearance, LibraryMaterial
 from ..material.mechanics import Mechanics
 from ..material.token import ENCODER_ID, TOKEN_DIM
 from .carriers import Carriers
-from .field import Field, FieldConfig, Ranges
+from .field import Field, FieldConfig
+from .ranges import MECHANICS_NAMES, SECTORS, Given, Ranges
 
 DEFAULT_WEIGHTS = Path(__file__).parent.parent / "data" / "field.safetensors"
 FORMAT = "hnf-field-1"
@@ -40,7 +41,7 @@ def save_field(path: Path, field: Field) -> None:
     }
     if field.ranges is not None:
         tensors[_TOKEN_LOW], tensors[_TOKEN_HIGH] = field.ranges.token_low, field.ranges.token_high
-        metadata["ranges"] = json.dumps({"speed_m_s": field.ranges.speed, "force_n": field.ranges.force})
+        metadata["ranges"] = json.dumps(_ranges_record(field.ranges))
     write_bytes(path, _canonical(save(tensors, metadata=metadata)))
 
 
@@ -143,12 +144,57 @@ def _config(record: Mapping[str, Any]) -> FieldConfig:
     return config
 
 
+def _ranges_record(ranges: Ranges) -> dict[str, Any]:
+    record: dict[str, Any] = {"speed_m_s": ranges.speed, "force_n": ranges.force}
+    if ranges.hull is not None:
+        record["hull_m_s_n"] = ranges.hull.tolist()
+    if ranges.sectors is not None:
+        record["sectors"] = ranges.sectors
+    if ranges.mechanics is not None:
+        record["mechanics"] = {name: dataclasses.asdict(given) for name, given in ranges.mechanics.items()}
+    if ranges.probes is not None:
+        record["probes"] = ranges.probes
+    return record
+
+
 def _ranges(metadata: Mapping[str, str], tensors: Mapping[str, NDArray[np.float32]]) -> Ranges | None:
+    """What weights say of their training; keys that older files lack stay None. Raises KeyError, TypeError or
+    ValueError."""
     if "ranges" not in metadata:
         return None
     record = json.loads(metadata["ranges"])
     low, high = tensors[_TOKEN_LOW], tensors[_TOKEN_HIGH]
     if low.shape != (TOKEN_DIM,) or high.shape != (TOKEN_DIM,):
         raise ValueError("token ranges of the wrong length")
-    speed, force = (tuple(float(value) for value in record[key]) for key in ("speed_m_s", "force_n"))
-    return Ranges((speed[0], speed[1]), (force[0], force[1]), low, high)
+    hull, sectors, mechanics = record.get("hull_m_s_n"), record.get("sectors"), record.get("mechanics")
+    probes = record.get("probes")
+    if sectors is not None and (len(sectors) not in (0, SECTORS) or (sectors and not any(sectors))):
+        raise ValueError(f"trained directions are not {SECTORS} sectors")
+    return Ranges(
+        _span(record["speed_m_s"]),
+        _span(record["force_n"]),
+        low,
+        high,
+        hull=None if hull is None else _hull(hull),
+        sectors=None if sectors is None else tuple(bool(sector) for sector in sectors),
+        mechanics=None if mechanics is None else {name: _given(mechanics[name]) for name in MECHANICS_NAMES},
+        probes=None if probes is None else tuple(str(probe) for probe in probes),
+    )
+
+
+def _hull(record: Any) -> NDArray[np.float64]:
+    hull = np.asarray(record, dtype=np.float64)
+    if hull.ndim != 2 or hull.shape[0] < 1 or hull.shape[1] != 2 or not (np.isfinite(hull) & (hull > 0.0)).all():
+        raise ValueError("the region of speeds and forces is not a polygon of positive numbers")
+    return hull
+
+
+def _given(record: Mapping[str, Any]) -> Given:
+    return Given(None if record["span"] is None else _span(record["span"], zero=True), bool(record["unknown"]))
+
+
+def _span(record: Any, *, zero: bool = False) -> tuple[float, float]:
+    low, high = (float(value) for value in record)
+    if not 0.0 <= low <= high < float("inf") or (low == 0.0 and not zero):
+        raise ValueError(f"{low:g} to {high:g} is not a range")
+    return low, high

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,8 +12,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..field.field import Field, FieldConfig, Ranges
-from .conditions import FORCE_RANGE_N, SPEED_RANGE_M_S, steady_strokes
+from ..action.smooth import steady_action
+from ..field.field import Field, FieldConfig
+from ..field.ranges import Ranges, ranges_of
+from .conditions import Steady, speed_grid, steady_strokes
 from .fit import DENSITY_FLOOR, Likelihood, Schedule, TrainingSet, fit, training_set
 from .model import FieldNetwork
 from .recordings import FINE_BINS, bin_widths, record
@@ -80,7 +83,8 @@ def train(library: Path, plan: Plan, config: FieldConfig, seed: int, workers: in
     print(metrics, file=sys.stderr)
     print(f"trained in {time.monotonic() - began:.0f} s", file=sys.stderr)
     return Field(
-        config, network.parameters_numpy(), _ranges(tokens),
+        config, network.parameters_numpy(),
+        _ranges([stroke for stroke, held in zip(strokes, test, strict=True) if not held], tokens),
         {
             "training_data": f"contact simulator of this project: {own} library tiles, {plan.random} random and fused "
             f"surfaces, {int((~test).sum())} steady strokes of {plan.seconds:g} s, pen and finger; no recorded data",
@@ -111,5 +115,8 @@ def evaluate_fit(network: FieldNetwork, data: TrainingSet, variant: int) -> Fit:
     )
 
 
-def _ranges(tokens: NDArray[np.float32]) -> Ranges:
-    return Ranges(SPEED_RANGE_M_S, FORCE_RANGE_N, tokens.min(axis=0), tokens.max(axis=0))
+def _ranges(strokes: Sequence[Steady], tokens: NDArray[np.float32]) -> Ranges:
+    grid = speed_grid()
+    actions = [steady_action(0.0, float(grid[each.speed]), each.force, each.angle, each.probe) for each in strokes]
+    trained = tokens[sorted({each.surface for each in strokes})]
+    return ranges_of(actions, trained, [each.mechanics for each in strokes], withheld=True)
