@@ -48,12 +48,18 @@ class Inputs:
     gate: Float
 
 
-def input_size(carriers: Carriers, physics: bool) -> int:
-    return _ACTION_END + (carriers.time_count + _PHYSICS_SCALARS if physics else 0)
+def input_size(carriers: Carriers, physics: bool, action_octaves: int = 0) -> int:
+    encoded = 6 * action_octaves
+    return _ACTION_END + encoded + (carriers.time_count + _PHYSICS_SCALARS if physics else 0)
 
 
-def build_inputs(condition: Condition, carriers: Carriers, physics: bool) -> Inputs:
-    """Evaluate inputs at every state; without physics, x ends at log force and prior is 0."""
+def build_inputs(
+    condition: Condition, carriers: Carriers, physics: bool, action_octaves: int = 0, directed: bool = True
+) -> Inputs:
+    """Evaluate inputs at every state; without physics, x ends with the action and prior is 0.
+
+    action_octaves: see encode_action. directed: False leaves direction out (0), so that nothing depends on it.
+    """
     speed = np.maximum(condition.speed, SPEED_FLOOR_M_S)
     force = np.maximum(condition.force, FORCE_FLOOR_N)
     moving = np.clip(condition.speed / SPEED_FLOOR_M_S, 0.0, 1.0) * np.clip(condition.force / FORCE_FLOOR_N, 0.0, 1.0)
@@ -63,9 +69,10 @@ def build_inputs(condition: Condition, carriers: Carriers, physics: bool) -> Inp
         normalised_tokens(condition.tokens),
         np.array([mechanics_columns(m) for m in condition.mechanics])[condition.material],
         np.tile([float(name == condition.probe) for name in PROBE_NAMES], (len(speed), 1)),
-        condition.direction,
+        condition.direction if directed else np.zeros_like(condition.direction),
         np.log(speed / 0.1)[:, None],
         np.log(force)[:, None],
+        encode_action(condition.direction, speed, force, action_octaves, directed),
     ]
     prior = np.zeros((len(speed), carriers.count))
     if physics:
@@ -86,6 +93,24 @@ def build_inputs(condition: Condition, carriers: Carriers, physics: bool) -> Inp
         if carriers.arc_count:
             prior[:, carriers.arc_slice] = log_amplitude(linear.power)
     return Inputs(np.concatenate(columns, axis=1), prior, gate)
+
+
+def encode_action(direction: Float, speed: Float, force: Float, octaves: int, directed: bool) -> Float:
+    """(n, 6 · octaves) positional encoding of u(t), as NeRF's of place (Mildenhall et al. 2020, eq. 4).
+
+    Per octave k: sine and cosine of 2^k · π/2 · z for log speed and log force (z of order 1 over a hand's range), and
+    of 2^(k+1) times the direction's angle, 0 where undirected. A network on bare logarithms smooths over what a
+    material does within a factor of 1.5 of speed.
+    """
+    columns = []
+    angle = np.arctan2(direction[:, 1], direction[:, 0])
+    pace, load = np.log(speed / 0.06) / 1.2, np.log(force) / 1.2
+    for octave in range(octaves):
+        turn = 2.0 ** (octave + 1) * angle
+        for phase, told in ((2.0**octave * 0.5 * np.pi * pace, True), (2.0**octave * 0.5 * np.pi * load, True),
+                            (turn, directed)):  # fmt: skip
+            columns += [np.sin(phase) * told, np.cos(phase) * told]
+    return np.stack(columns, axis=1) if columns else np.zeros((len(speed), 0))
 
 
 def log_amplitude(power: Float) -> Float:

@@ -42,7 +42,9 @@ class FieldConfig:
     "linear" = α is the head (published). physics: add the linear contact to the inputs and, per carrier and weighted
     by a learned skip, to the log-amplitude head. arc_knots: values the α head gives for the arc carriers, spread evenly
     over log κ and read linearly between; 0 = one per carrier. With one each, the few training strokes whose tone falls
-    on a carrier decided alone how loud that carrier's tones are (up to 28 dB off on an unseen weave).
+    on a carrier decided alone how loud that carrier's tones are (up to 28 dB off on an unseen weave). action_octaves:
+    of the positional encoding of u(t), features.encode_action. directed: False for data that never told directions
+    apart; the field then ignores d.
     """
 
     hidden: int = 256
@@ -54,6 +56,8 @@ class FieldConfig:
     emission: Literal["log", "linear"] = "log"
     physics: bool = True
     arc_knots: int = 25
+    action_octaves: int = 0
+    directed: bool = True
 
     @staticmethod
     def published(hidden: int = 1024, layers: int = 4, states: int = 5) -> FieldConfig:
@@ -86,7 +90,7 @@ class FieldConfig:
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
         """Name and shape of every parameter; weight matrices are (outputs, inputs)."""
-        width = input_size(self.carriers, self.physics)
+        width = input_size(self.carriers, self.physics, self.action_octaves)
         shapes: dict[str, tuple[int, ...]] = {}
         for layer in range(self.layers):
             shapes[f"layer{layer}.weight"] = (self.hidden, width if layer == 0 else self.hidden)
@@ -122,7 +126,7 @@ class Emission:
 def evaluate(model: Field, condition: Condition) -> Emission:
     """F_Θ at each of n states, in float32 products (as the torch twin)."""
     config, weights = model.config, model.parameters
-    inputs = build_inputs(condition, config.carriers, config.physics)
+    inputs = build_inputs(condition, config.carriers, config.physics, config.action_octaves, config.directed)
     hidden = inputs.x.astype(np.float32)
     for layer in range(config.layers):
         hidden = np.maximum(hidden @ weights[f"layer{layer}.weight"].T + weights[f"layer{layer}.bias"], 0.0)
