@@ -7,17 +7,22 @@ from pathlib import Path
 from ..errors import UsageError
 from .dataset import DataSet
 from .hatt import HattFolder
+from .simulated import SimulatedLibrary
 
-KINDS = ("hatt",)
+KINDS = ("hatt", "simulated")
 
 
 def open_dataset(kind: str, folder: Path | None) -> DataSet:
-    """kind: one of KINDS. folder: the user's own copy. Nothing is read yet.
+    """kind: one of KINDS. folder: the user's own copy; the simulator has none. Nothing is read yet.
 
-    Raises UsageError for an unknown kind or a missing folder.
+    Raises UsageError for an unknown kind, a missing folder, or one too many.
     """
     if kind not in KINDS:
         raise UsageError(f"{kind!r} is no data set.", remedy=f"Known are {', '.join(KINDS)}.")
+    if kind == "simulated":
+        if folder is not None:
+            raise UsageError("simulated data have no folder.", remedy="Leave the folder out.")
+        return SimulatedLibrary()
     if folder is None:
         raise UsageError(f"{kind} needs the folder of your own copy.", remedy=f"For example: --data {kind} DIR")
     return HattFolder(folder)
