@@ -1,0 +1,53 @@
+"""Method: HaTT's piecewise autoregression, fitted to recordings and played by HaTT's own rule.
+
+Isotropic by construction: it sees speed and force, never direction. See piecewise_ar_fit for how it is fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..action.action import Action
+from ..datasets.autoregressive import HattProcess
+from ..datasets.hatt_models import TextureModel
+from .by_duration import by_duration
+from .method import Form, Specimen
+from .pieces import cut
+from .piecewise_ar_fit import MAX_ORDER, as_model, fit
+
+Float = NDArray[np.float64]
+
+_GROUPS = 1000
+
+
+@dataclass(frozen=True)
+class PiecewiseArFitted:
+    """One material. model: in HaTT's own form."""
+
+    model: TextureModel
+
+    def render(self, actions: Sequence[Action], seed: int) -> list[Float]:
+        """By datasets.autoregressive.HattProcess; outside the recorded speeds and forces as HaTT does, clamped."""
+        process = HattProcess(self.model)
+        return by_duration(
+            actions, lambda same, group: [r.samples for r in process.record(same, _GROUPS * seed + group)]
+        )
+
+
+@dataclass(frozen=True)
+class PiecewiseAr:
+    """Method: piecewise AR (HaTT's model class, our own fit)."""
+
+    name: str = "piecewise AR (HaTT)"
+    form: Form = "natural"
+
+    def fit(self, specimen: Specimen, seed: int) -> PiecewiseArFitted:
+        """Deterministic: nothing is drawn. Raises FileError where no piece of a recording is steady and in contact."""
+        del seed
+        pieces = cut(specimen.recordings, MAX_ORDER)
+        fitted = fit(pieces)
+        return PiecewiseArFitted(as_model(fitted.grid, fitted.lsf, fitted.variance, pieces, specimen.name))

@@ -1,0 +1,224 @@
+"""Fitting HaTT's model class to recordings: AR models on a grid of speed and force, barycentric weights between them.
+
+Burg's method over the pieces nearest to each vertex gives a stable start. Then all vertices together are moved to the
+greatest likelihood of all pieces *through* the interpolation, so that no vertex has to stand for pieces that were not
+recorded at it; a weak prior keeps neighbours alike. Order by the corrected Akaike criterion, grid by the likelihood of
+every tenth piece. HaTT itself fits each piece alone and places the models where they fell (Culbertson et al. 2014);
+this is kinder to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import Delaunay
+from torch import Tensor
+
+from ..datasets.autoregressive import local_filters
+from ..datasets.hatt_models import TextureModel
+from ..datasets.line_spectra import lsf_from_polynomial
+from .linear_prediction import Prediction, burg
+from .pieces import Pieces
+
+Float = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+MAX_ORDER = 24
+GRIDS = ((2, 1), (3, 2), (5, 3), (7, 4), (9, 6), (12, 8), (16, 10))
+"""Speeds × forces to choose from, beside the axes."""
+START_PIECES = 100
+PIECES_PER_MODEL = 8
+HELD_OUT = 10
+ITERATIONS = 60
+LEVEL_STEP, GAP_STEP = 1.0, 0.2
+"""What neighbours may differ by: standard deviation of log variance, and of the log of each gap between LSFs. Weak: a
+vertex that no piece came near takes after its neighbours."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """models: (M, 2) speed [m/s] and force [N] of each model. place: (V, 2) of every vertex, the axes among them.
+    own: (V,) which of the models it holds. silent: (V,) bool, the vertices on the axes: variance 0, as in HaTT, and the
+    shape of their neighbour. triangles: (T, 3) vertices."""
+
+    models: Float
+    place: Float
+    own: Index
+    silent: NDArray[np.bool_]
+    triangles: Index
+
+
+def make_grid(pieces: Pieces, speeds: int, forces: int) -> Grid:
+    """Geometric in speed and force, from the smallest to the largest piece, closed by silent vertices on the axes."""
+    v, f = (_levels(values, count) for values, count in ((pieces.speed, speeds), (pieces.force, forces)))
+    models = np.stack(np.meshgrid(v, f, indexing="ij"), axis=-1).reshape(-1, 2)
+    rows, columns = np.meshgrid(np.arange(len(v) + 1), np.arange(len(f) + 1), indexing="ij")
+    rows, columns = rows.ravel(), columns.ravel()
+    place = np.stack([np.append(0.0, v)[rows], np.append(0.0, f)[columns]], axis=1)
+    own = np.maximum(rows - 1, 0) * len(f) + np.maximum(columns - 1, 0)
+    triangles = Delaunay(place / place.max(axis=0)).simplices.astype(np.int64)
+    return Grid(models, place, own, (rows == 0) | (columns == 0), triangles)
+
+
+def as_model(grid: Grid, lsf: Float, variance: Float, pieces: Pieces, material: str) -> TextureModel:
+    """HaTT's own form. lsf (M, p), variance (M,) of the grid's models."""
+    return TextureModel(
+        material=material,
+        source="piecewise AR fitted to recordings",
+        sample_rate=pieces.rate,
+        speeds=grid.place[:, 0],
+        forces=grid.place[:, 1],
+        triangles=grid.triangles,
+        ar_lsf=lsf[grid.own],
+        ma_lsf=np.zeros((len(grid.place), 0)),
+        variances=np.where(grid.silent, 0.0, variance[grid.own]),
+        gains=np.ones(len(grid.place)),
+        friction=None,
+        max_speed=float(grid.place[:, 0].max()),
+        max_force=float(grid.place[:, 1].max()),
+    )
+
+
+def covariances(pieces: Pieces) -> Float:
+    """(S, lead + 1, lead + 1) Σ_n x[n − i] x[n − j]: all that the likelihood of a piece under any AR model needs."""
+    length = pieces.body.shape[1]
+    lagged = np.lib.stride_tricks.sliding_window_view(pieces.samples, length, axis=1)[:, ::-1]
+    return np.stack([each @ each.T for each in lagged])
+
+
+def starts(pieces: Pieces, grid: Grid, order: int) -> list[Prediction]:
+    """Burg at each model, over the pieces nearest to it in log speed and log force, each brought to the level there."""
+    log = np.log(np.stack([pieces.speed, pieces.force], axis=1))
+    spread = np.maximum(log.std(axis=0), 1e-3)
+    power = np.mean(np.square(pieces.body), axis=1)
+    out = []
+    for model in np.log(grid.models):
+        nearest = np.argsort(np.sum(np.square((log - model) / spread), axis=1))[:START_PIECES]
+        level = max(float(np.exp(np.mean(np.log(power[nearest] + 1e-300)))), 1e-12)
+        out.append(burg(pieces.body[nearest], order, level / (power[nearest] + 1e-3 * level)))
+    return out
+
+
+def choose_order(predictions: list[Prediction], samples: int) -> int:
+    """Least corrected Akaike criterion (C. M. Hurvich & C.-L. Tsai 1989), summed over models of `samples` samples."""
+    error = np.array([prediction.error for prediction in predictions])
+    k = np.arange(error.shape[1]) + 1.0
+    criterion = (samples * np.log(error)).mean(axis=0) + 2.0 * k * samples / (samples - k - 1.0)
+    return max(int(np.argmin(criterion)), 2)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """lsf: (M, p). variance: (M,). loss: mean negative log-likelihood per sample of the pieces held out."""
+
+    grid: Grid
+    lsf: Float
+    variance: Float
+    loss: float
+
+
+def fit(pieces: Pieces) -> Fitted:
+    """The best of GRIDS, fitted to all pieces. Deterministic."""
+    covariance = torch.from_numpy(covariances(pieces))
+    held_out = np.arange(len(pieces.speed)) % HELD_OUT == HELD_OUT - 1
+    candidates: list[Fitted] = []
+    for speeds, forces in GRIDS:
+        if candidates and speeds * forces * PIECES_PER_MODEL > len(pieces.speed):
+            break
+        candidates.append(fit_grid(pieces, covariance, make_grid(pieces, speeds, forces), ~held_out))
+        if len(candidates) > 1 and candidates[-1].loss > candidates[-2].loss:
+            break
+    best = min(candidates, key=lambda each: each.loss)
+    return fit_grid(pieces, covariance, best.grid, np.ones(len(held_out), dtype=np.bool_))
+
+
+def fit_grid(
+    pieces: Pieces, covariance: Tensor, grid: Grid, train: NDArray[np.bool_], iterations: int = ITERATIONS
+) -> Fitted:
+    """Greatest posterior given the pieces in `train`; loss of the others."""
+    predictions = starts(pieces, grid, pieces.lead)
+    order = choose_order(predictions, min(START_PIECES, len(pieces.speed)) * pieces.body.shape[1])
+    lsf = np.stack([lsf_from_polynomial(each.polynomial(order)) for each in predictions])
+    gaps = np.diff(np.concatenate([np.zeros((len(lsf), 1)), lsf, np.full((len(lsf), 1), np.pi)], axis=1), axis=1)
+    shape = torch.tensor(np.log(gaps), requires_grad=True)
+    level = torch.tensor(np.log([each.error[order] for each in predictions]), requires_grad=True)
+    unfitted = as_model(grid, lsf, np.ones(len(lsf)), pieces, "")
+    local = local_filters(unfitted, pieces.speed, pieces.force)
+    vertices, weights = grid.triangles[local.triangle], local.weights
+    own = torch.from_numpy(grid.own[vertices])
+    share = torch.from_numpy(weights)
+    sounding = torch.from_numpy(weights * ~grid.silent[vertices])
+    length = pieces.body.shape[1]
+    covariance = covariance[:, : order + 1, : order + 1]
+
+    def loss(rows: Tensor) -> Tensor:
+        angles = torch.cumsum(torch.softmax(shape, dim=1), dim=1)[:, :-1] * torch.pi
+        between = (angles[own[rows]] * share[rows][..., None]).sum(dim=1)
+        variance = (torch.exp(level)[own[rows]] * sounding[rows]).sum(dim=1)
+        a = polynomial(between)
+        residual = torch.einsum("si,sij,sj->s", a, covariance[rows], a)
+        return 0.5 * (torch.log(variance) + residual / (length * variance)).mean()
+
+    rows = torch.from_numpy(np.flatnonzero(train))
+    optimiser = torch.optim.LBFGS([shape, level], max_iter=iterations, history_size=20, line_search_fn="strong_wolfe")
+
+    edges = torch.from_numpy(neighbours(grid))
+
+    def roughness() -> Tensor:
+        step = level[edges[:, 0]] - level[edges[:, 1]]
+        turn = torch.log_softmax(shape, dim=1)
+        bend = turn[edges[:, 0]] - turn[edges[:, 1]]
+        return 0.5 * ((step / LEVEL_STEP).square().sum() + (bend / GAP_STEP).square().sum())
+
+    def closure() -> Tensor:
+        optimiser.zero_grad()
+        value = loss(rows) + roughness() / (len(rows) * length)
+        value.backward()  # type: ignore[no-untyped-call]
+        return value
+
+    optimiser.step(closure)  # type: ignore[no-untyped-call]
+    with torch.no_grad():
+        other = torch.from_numpy(np.flatnonzero(~train))
+        angles = torch.cumsum(torch.softmax(shape, dim=1), dim=1)[:, :-1] * torch.pi
+        held = float(loss(other)) if len(other) else float(loss(rows))
+        return Fitted(grid, angles.numpy().copy(), torch.exp(level).numpy().copy(), held)
+
+
+def neighbours(grid: Grid) -> Index:
+    """(E, 2) pairs of models that share an edge of a triangle."""
+    pairs = np.sort(grid.own[grid.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)], axis=1)
+    return np.asarray(np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0))
+
+
+def polynomial(lsf: Tensor) -> Tensor:
+    """Twin of datasets.line_spectra.polynomial_from_lsf with gradients: (S, p) → (S, p + 1)."""
+    cosines = torch.cos(lsf)
+    order = lsf.shape[1]
+    symmetric, antisymmetric = _product(cosines[:, 0::2]), _product(cosines[:, 1::2])
+    if order % 2 == 0:
+        symmetric = _extended(symmetric, 0, 1) + _extended(symmetric, 1, 0)
+        antisymmetric = _extended(antisymmetric, 0, 1) - _extended(antisymmetric, 1, 0)
+    else:
+        antisymmetric = _extended(antisymmetric, 0, 2) - _extended(antisymmetric, 2, 0)
+    return 0.5 * (symmetric + antisymmetric)[:, : order + 1]
+
+
+def _product(cosines: Tensor) -> Tensor:
+    out = torch.ones((len(cosines), 1), dtype=cosines.dtype)
+    for column in range(cosines.shape[1]):
+        out = _extended(out, 0, 2) - 2.0 * cosines[:, column : column + 1] * _extended(out, 1, 1) + _extended(out, 2, 0)
+    return out
+
+
+def _extended(value: Tensor, before: int, after: int) -> Tensor:
+    return torch.nn.functional.pad(value, (before, after))
+
+
+def _levels(values: Float, count: int) -> Float:
+    low, high = float(values.min()), float(values.max())
+    if count == 1 or high < 1.05 * low:
+        return np.array([np.sqrt(low * high)]) if count == 1 else np.array([high])
+    return np.geomspace(low, high, count)
