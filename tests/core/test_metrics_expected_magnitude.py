@@ -1,0 +1,82 @@
+"""The expected-magnitude form: what the field expects, shown by every window wherever it starts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hnf_core.action.smooth import steady_action, wandering_action
+from hnf_core.field.expected_magnitude import (
+    expected_densities,
+    expected_magnitude_signal,
+    synthesise_expected_magnitude,
+)
+from hnf_core.field.stroke import StrokeInput, uniform_stroke
+from hnf_core.field.synthesis import synthesise
+from hnf_core.field.weights import load_field
+from hnf_core.material.library import find
+from hnf_core.metrics.limits import Limits, limits_of
+from hnf_core.metrics.magnitudes import window_magnitudes
+from hnf_core.metrics.spectra import WINDOW, welch
+
+Float = NDArray[np.float64]
+SECONDS = 2.0
+OFFSETS = range(0, WINDOW, 125)
+
+
+@pytest.fixture(scope="module")
+def stroke() -> StrokeInput:
+    material = find("pine-wood")
+    action = wandering_action(SECONDS, 5, speed_m_s=(0.06, 0.2), force_n=(0.5, 2.0))
+    return uniform_stroke(action, material.token, material.mechanics)
+
+
+def limits_at(draws: list[Float], offset: int) -> Limits:
+    return limits_of([window_magnitudes(each[offset:]) for each in draws])
+
+
+def test_at_most_ten_per_cent_above_the_best_at_every_window_offset(stroke: StrokeInput) -> None:
+    field = load_field()
+    draws = [synthesise(field, stroke, seed=seed).signal.samples.astype(np.float64) for seed in range(20)]
+    ours = synthesise_expected_magnitude(field, stroke)
+    assert len(ours) == len(draws[0])
+    ratios = []
+    for offset in OFFSETS:
+        limits = limits_at(draws, offset)
+        ratios.append(limits.expected_mse(window_magnitudes(ours[offset:])) / limits.best)
+    assert 1.0 < max(ratios) <= 1.10
+    one = limits_at(draws, 0)
+    assert one.expected_mse(window_magnitudes(draws[0])) > 1.8 * one.best
+
+
+def test_densities_are_what_windows_of_the_natural_form_average_to() -> None:
+    field, material = load_field(), find("denim")
+    still = uniform_stroke(steady_action(8.0, 0.1, 1.0, 0.4), material.token, material.mechanics)
+    expected = expected_densities(field, still, 400)
+    assert expected.shape == (5, 100)
+    assert np.ptp(expected[1:], axis=0).max() == pytest.approx(0.0, abs=1e-12)
+    measured = np.mean(
+        [welch(synthesise(field, still, seed=seed).signal.samples, 10_000.0)[1][1:101] for seed in range(3)], axis=0
+    )
+    level = 10.0 * np.log10(expected[-1] / measured)
+    heard = measured > 1e-3 * measured.max()
+    assert np.sqrt(np.mean(np.square(level[heard]))) < 0.5
+    assert abs(np.mean(level[heard])) < 0.15
+
+
+def test_it_grows_with_the_root_of_the_density_and_does_not_need_a_seed(stroke: StrokeInput) -> None:
+    density = expected_densities(load_field(), stroke, 4)
+    once = expected_magnitude_signal(density, 20_000)
+    np.testing.assert_allclose(expected_magnitude_signal(4.0 * density, 20_000), 2.0 * once, rtol=1e-12)
+    np.testing.assert_array_equal(once, synthesise_expected_magnitude(load_field(), stroke))
+    assert np.all(expected_magnitude_signal(np.zeros((3, 100)), 500) == 0.0)
+
+
+def test_a_flat_density_shows_its_expected_magnitude_in_every_bin() -> None:
+    flat = expected_magnitude_signal(np.full((2, 100), 1e-3), 5000)
+    target = 0.5 * np.sqrt(np.pi * 1e-3 * 0.5 * 10_000.0 * 375.0)
+    for offset in (0, 130, 500):
+        shown = window_magnitudes(flat[offset : offset + 4000])
+        assert shown.mean() == pytest.approx(target, rel=0.02)
+        assert np.abs(shown / target - 1.0).max() < 0.3
