@@ -67,7 +67,12 @@ def arc_gain(wavenumber: Float, speed: Float) -> Float:
     wavenumber: (K,) cycles/m; speed: (n,) m/s. Returns (n, K).
     """
     frequency = speed[:, None] * wavenumber[None, :]
-    return np.asarray(_smoothstep((frequency - 4.0) / 4.0) * (1.0 - _smoothstep((frequency - 4000.0) / 800.0)))
+    return np.asarray(_smoothstep((frequency - 4.0) / 4.0) * upper_fade(frequency))
+
+
+def upper_fade(frequency: Float) -> Float:
+    """1 below 4 kHz, 0 above 4.8 kHz: no aliasing at the model rate."""
+    return np.asarray(1.0 - _smoothstep((frequency - 4000.0) / 800.0))
 
 
 def linear_contact(condition: Condition, carriers: Carriers) -> LinearContact:

@@ -145,8 +145,7 @@ def share_power(amplitude: Float, bands: ProfileBands, condition: Condition, car
         total = total + at_band * speed[:, None] * np.diff(edges)
     profile_power = profile_band_power(bands.power, condition, carriers)
     present = profile_power > 0.0
-    gain2 = np.divide(total, profile_power, out=np.ones_like(total), where=present)
-    gain2 = np.minimum(gain2, 1.0)
+    gain2 = np.divide(total, profile_power, out=np.ones_like(total), where=profile_power > total)
     taken = np.minimum(gain2 * profile_power, total)
     left = 1.0 - np.divide(taken, total, out=np.zeros_like(total), where=total > 0.0)
     time_left = np.ones_like(time_amplitude)

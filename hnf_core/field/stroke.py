@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,24 @@ from ..errors import StrokeError
 from ..material.mechanics import Mechanics
 from ..material.token import TOKEN_DIM
 from ..signal import Signal
+
+LIMITS = {
+    "action rate [Hz]": (1e-3, 1e6),
+    "speed [m/s]": (0.0, 1e4),
+    "force [N]": (0.0, 1e7),
+    "position [m]": (-1e7, 1e7),
+    "direction": (-1.001, 1.001),
+    "token": (-100.0, 100.0),
+    "stiffness [N/m]": (1e-6, 1e12),
+    "damping ratio": (0.0, 1e3),
+    "friction": (0.0, 1e3),
+    "profile height [m]": (-1e6, 1e6),
+    "profile origin [m]": (-1e7, 1e7),
+    "profile step [m]": (1e-9, 1e6),
+    "resolved wavelength [m]": (0.0, 1e6),
+}
+"""What is refused beyond: far outside any touch, and well inside what float64 carries through the field's powers.
+A test holds that nothing within them gives NaN or infinity."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +53,7 @@ class StrokeInput:
 
     action: u(t). tokens: (M, TOKEN_DIM) the materials it meets. mechanics: (M,) of the same materials. token_index:
     (n,) int32, which material at each action sample. profile: height under the path, or None where none is resolved.
-    Raises StrokeError where these do not fit together.
+    Raises StrokeError where these do not fit together or leave LIMITS.
     """
 
     action: Action
@@ -65,7 +84,6 @@ def uniform_stroke(action: Action, token: NDArray[np.float32], mechanics: Mechan
 
 def _problem(stroke: StrokeInput) -> str:
     action, samples = stroke.action, len(stroke.action.speed)
-    columns = (action.speed, action.force, action.position, action.direction)
     if stroke.tokens.ndim != 2 or stroke.tokens.shape[1] != TOKEN_DIM:
         return f"tokens have shape {stroke.tokens.shape}, not (M, {TOKEN_DIM})."
     if len(stroke.mechanics) != len(stroke.tokens):
@@ -74,11 +92,34 @@ def _problem(stroke: StrokeInput) -> str:
         return f"token_index has shape {stroke.token_index.shape}, not ({samples},)."
     if samples and not 0 <= int(stroke.token_index.min()) <= int(stroke.token_index.max()) < len(stroke.tokens):
         return f"token_index points outside the {len(stroke.tokens)} tokens."
-    if not all(np.isfinite(column).all() for column in (*columns, stroke.tokens)):
-        return "the action or a token holds NaN or infinity."
     if samples and (action.speed.min() < 0.0 or action.force.min() < 0.0):
         return "speed and force must not be negative."
-    profile = stroke.profile
-    if profile is not None and not (profile.step_m > 0.0 and np.isfinite(profile.height).all()):
-        return "the height profile holds NaN or has no positive step."
+    for name, values in _numbers(stroke):
+        low, high = LIMITS[name]
+        if values.size and not (values.min() >= low and values.max() <= high):
+            return f"{name} holds NaN or leaves {low:g} … {high:g}: {values.min():g} … {values.max():g}."
     return ""
+
+
+def _numbers(stroke: StrokeInput) -> Iterator[tuple[str, NDArray[np.float64]]]:
+    """Everything that LIMITS bound, by its name there; unknown mechanics left out."""
+    action, profile = stroke.action, stroke.profile
+    yield "action rate [Hz]", np.array([action.rate])
+    yield "speed [m/s]", action.speed
+    yield "force [N]", action.force
+    yield "position [m]", action.position
+    yield "direction", action.direction
+    yield "token", stroke.tokens.astype(np.float64)
+    mechanics = stroke.mechanics
+    yield "stiffness [N/m]", _known(each.stiffness_n_m for each in mechanics)
+    yield "damping ratio", _known(each.damping_ratio for each in mechanics)
+    yield "friction", _known(each.friction for each in mechanics)
+    if profile is not None:
+        yield "profile step [m]", np.array([profile.step_m])
+        yield "profile height [m]", profile.height
+        yield "profile origin [m]", np.array([profile.origin_m])
+        yield "resolved wavelength [m]", np.array([profile.resolved_wavelength_m])
+
+
+def _known(values: Iterable[float | None]) -> NDArray[np.float64]:
+    return np.array([value for value in values if value is not None], dtype=np.float64)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..action.action import Action
+from ..action.action import ACTION_RATE_HZ, Action
 from ..material.contact import tip_response
 from ..material.mechanics import PROBES
 from ..signal import Signal
@@ -19,17 +19,19 @@ from .carriers import MODEL_RATE_HZ, Carriers
 from .contact_filter import LEAD, TAIL, FilterBank, filter_bank
 from .extrapolation import examine
 from .field import Field, accumulate, evaluate
-from .linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition
+from .linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition, upper_fade
 from .modulation import arc_term, interpolate, time_term
 from .profile import ProfileBands, share_power, split_profile
 from .resampling import resample
 from .stroke import StrokeInput, Synthesis
-from .timeline import SAMPLES_PER_STATE, condition_of, cubic, sample_count, smooth, states_of
+from .timeline import SAMPLES_PER_STATE, condition_of, cubic, sample_count, smooth, states_in, states_of
 
 Float = NDArray[np.float64]
 
 BLOCK = 16_384
 """Samples rendered at once: bounds memory, changes nothing else."""
+STATES_AT_ONCE = 4096
+"""States evaluated at once, likewise."""
 BEFORE_CONTACT_S, AFTER_CONTACT_S = 0.02, 0.06
 """Beyond these distances from contact the signal is exactly zero."""
 
@@ -82,7 +84,9 @@ def prepare(field: Field, stroke: StrokeInput, *, seed: int) -> Prepared:
     action, token_index = states_of(stroke)
     condition = condition_of(stroke, action, token_index)
     carriers = field.config.carriers
-    amplitude = accumulate(field.config, evaluate(field, condition))
+    amplitude = amplitudes(field, condition)
+    fade = reading_fade(action, carriers)
+    amplitude[:, :, carriers.arc_slice] *= (fade > 0.0)[:, None, :]
     pressed = np.where(action.contact, action.force, 0.0)
     bank = filter_bank(stroke.mechanics, token_index, pressed, action.probe)
     bands, profile_amplitude = None, None
@@ -90,14 +94,38 @@ def prepare(field: Field, stroke: StrokeInput, *, seed: int) -> Prepared:
         bands = split_profile(stroke.profile, carriers)
         shares = share_power(amplitude[:, 0], bands, condition, carriers)
         sliding = condition.contact & (condition.force > FORCE_FLOOR_N) & (condition.speed > SPEED_FLOOR_M_S)
-        profile_amplitude = held(shares.profile * _tip(condition, carriers), sliding)
-        amplitude = amplitude.copy()
+        profile_amplitude = held(shares.profile * _tip(condition, carriers), sliding) * fade
         amplitude[:, :, carriers.arc_slice] *= shares.arc[:, None, :]
         amplitude[:, :, carriers.time_slice] *= shares.time[:, None, :]
     return Prepared(
         carriers, seed, action, amplitude, bank, pressed, _audible(action.contact, sample_count(action)), bands,
         profile_amplitude,
     )  # fmt: skip
+
+
+def amplitudes(field: Field, condition: Condition) -> Float:
+    """(n, heads, K) accumulated amplitudes of all states, some thousands at a time: a long stroke needs no more memory
+    than its result."""
+    count, config = len(condition.speed), field.config
+    memory = config.stride * (config.states - 1)
+    parts = []
+    for start in range(0, count, STATES_AT_ONCE):
+        first = max(start - memory, 0)
+        rows = slice(first, start + STATES_AT_ONCE)
+        parts.append(accumulate(config, evaluate(field, states_in(condition, rows)))[start - first :])
+    return np.concatenate(parts)
+
+
+def reading_fade(action: Action, carriers: Carriers) -> Float:
+    """(n, Ka) 1 … 0: what κ · |ds/dt| leaves of each band, by the fastest motion within two states.
+
+    The field's own gate answers to the speed of each state, but its memory is read at the speed of now, and a height
+    profile has no gate: past 4.8 kHz a band would alias, and a jump of the hand would ask for metres of micrometres.
+    """
+    travel = np.abs(np.diff(action.position)) * ACTION_RATE_HZ
+    around = np.pad(travel, 2)
+    fastest = np.max([around[k : k + len(action.position)] for k in range(4)], axis=0)
+    return upper_fade(fastest[:, None] * carriers.arc_centres())
 
 
 def render_block(prepared: Prepared, start: int, count: int) -> Float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -59,6 +61,12 @@ def condition_of(stroke: StrokeInput, action: Action, token_index: NDArray[np.in
         action.contact,
         action.probe,
     )
+
+
+def states_in(condition: Condition, rows: slice) -> Condition:
+    """The states in rows alone."""
+    names = ("tokens", "material", "direction", "speed", "force", "contact")
+    return replace(condition, **{name: getattr(condition, name)[rows] for name in names})
 
 
 def sample_count(action: Action) -> int:
