@@ -87,7 +87,7 @@ def _shares(edges: Float) -> Float:
 
 
 def _kernel() -> Float:
-    """(cells, 100) density that unit power in a cell shows in each bin, with its mirror image at negative frequencies."""
+    """(cells, 100) density that unit power in a cell shows in each bin, its image at negative frequencies included."""
     centre = _cell_edges()[:-1] + 0.5 * _CELL_HZ
     bins = np.arange(1, BINS + 1) * BIN_HZ
     near, mirrored = (_window_power((bins[None, :] - sign * centre[:, None]) / BIN_HZ) for sign in (1.0, -1.0))
@@ -97,4 +97,4 @@ def _kernel() -> Float:
 def _window_power(offset: Float) -> Float:
     """|W|² of a Hann window at an offset in bins, 1 at its middle; its integral is 1.5 bins."""
     wide = np.where(np.abs(np.abs(offset) - 1.0) < 1e-9, np.abs(offset) + 1e-6, offset)
-    return np.square(np.sinc(wide) / (1.0 - np.square(wide)))
+    return np.asarray(np.square(np.sinc(wide) / (1.0 - np.square(wide))))
