@@ -13,7 +13,15 @@ from hnf_core.action.bezier import smooth_curve, smooth_handles
 from hnf_core.action.curves import by_arc_length
 from hnf_core.action.keys import Keys
 from hnf_core.action.placing import MARGIN, OPENNESS_M, Spot, fits, in_space, lay, spots
-from hnf_core.action.primitives import find_primitive, path_curve, primitive_keys, primitive_path
+from hnf_core.action.primitives import (
+    DEFAULT_DOWN,
+    DEFAULT_PRIMITIVE,
+    Primitive,
+    find_primitive,
+    path_curve,
+    primitive_keys,
+    primitive_path,
+)
 from hnf_core.errors import SceneError
 from hnf_core.scene.raycast import Hits, RayCaster
 
@@ -94,7 +102,7 @@ def place_primitive(
     scene: Any,
     obj: Any,
     slot: int | None,
-    primitive: str,
+    primitive: Primitive | str,
     metres_per_unit: float,
     depsgraph: Any = None,
     *,
@@ -105,15 +113,15 @@ def place_primitive(
 ) -> Placed:
     """A new stroke object with a primitive on the best place of a slot (None: the slot with the largest area).
 
-    primitive: one of the eight names, or "default" (100 mm/s, 1 N, left to right; top to bottom where that has more
-    room). The curve is parented to obj, lies on its surface and carries keyframes of force and progress, so that an
-    artist can go on from there. Left → right runs along the surface's own tangent. surfaces: object → Surface,
-    for a caller that keeps them. Raises UsageError for an unknown name and
-    SceneError naming the object where nothing fits.
+    primitive: any, or the name of one of the eight, or "default" (100 mm/s, 1 N, left to right; top to bottom where
+    that has more room). The curve is parented to obj, lies on its surface and carries keyframes of force and progress,
+    so that an artist can go on from there. Left → right runs along the surface's own tangent. surfaces: object →
+    Surface, for a caller that keeps them. Raises UsageError for an unknown name and SceneError naming the object where
+    nothing fits.
     """
     depsgraph = depsgraph or _current_depsgraph()
     surfaces = surfaces or (lambda touched: surface_mesh(touched, depsgraph, metres_per_unit))
-    find_primitive(primitive)
+    primitive = find_primitive(primitive) if isinstance(primitive, str) else primitive
     where = f"object '{obj.name}'"
     if not is_visible(obj, depsgraph.view_layer):
         raise SceneError("it is hidden.", where=where, remedy="Show it in the viewport and in renders.")
@@ -122,30 +130,30 @@ def place_primitive(
         slot = int(np.argmax(_slot_areas(surface)))
     caster = _Counting(ray_caster(surface.mesh))
     above = _Neighbours(scene, obj, surface, depsgraph, metres_per_unit, surfaces)
-    names = ("default", "default-down") if primitive == "default" else (primitive,)
-    found = [(each, _best_spot(surface, caster, slot, each, seed, above)) for each in names]
+    ways = (DEFAULT_PRIMITIVE, DEFAULT_DOWN) if primitive == DEFAULT_PRIMITIVE else (primitive,)
+    found = [(each, _best_spot(surface, caster, slot, each, seed, above)) for each in ways]
     fitting = [(each, spot) for each, spot in found if spot is not None]
     if not fitting:
         material = surface.materials[slot] if slot < len(surface.materials) else ""
         raise SceneError(
             f"no place on its material slot {slot} ({material or 'no material'}) is flat, free and large enough for "
-            f"'{primitive}'.",
+            f"'{primitive.name}'.",
             where=where,
             remedy="Draw a curve on it by hand and make it a stroke.",
         )
     chosen, spot = max(fitting, key=lambda pair: (pair[1].openness_m, pair[1].size_m))
     points, cyclic = _points_on(surface, caster, spot, chosen, seed)
     distance = by_arc_length(smooth_curve(points, cyclic=cyclic)).length
-    stroke = _curve_object(name or f"{primitive} on {obj.name}", points, cyclic, obj, surface, scene)
+    stroke = _curve_object(name or f"{primitive.name} on {obj.name}", points, cyclic, obj, surface, scene)
     group = stroke.hnf_stroke
     group.is_stroke, group.law, group.surface = True, "PROGRESS", obj
     group.start, group.seed = start_frame, seed
-    progress, force, _ = primitive_keys(find_primitive(chosen), distance)
+    progress, force, _ = primitive_keys(chosen, distance)
     per_second = float(scene.render.fps) / float(scene.render.fps_base)
     for channel, keys in (("progress", progress), ("force", force)):
         _insert_keys(stroke, channel, keys, start_frame, per_second)
     depsgraph.update()  # so that the stroke can be read at once
-    return Placed(stroke, chosen, spot.size_m, caster.rays + above.rays)
+    return Placed(stroke, chosen.name, spot.size_m, caster.rays + above.rays)
 
 
 class _Counting:
@@ -165,7 +173,7 @@ def _slot_areas(surface: Surface) -> Float:
     return np.asarray(np.bincount(surface.mesh.slot, weights=area), dtype=np.float64)
 
 
-def _planar(primitive: str, size_m: float, seed: int) -> tuple[Float, bool]:
+def _planar(primitive: Primitive, size_m: float, seed: int) -> tuple[Float, bool]:
     """A primitive's path as knots (k, 2) about KNOT_M apart, and whether it closes."""
     path = primitive_path(primitive, size_m=size_m, seed=seed)
     curve = path_curve(path)
@@ -175,7 +183,7 @@ def _planar(primitive: str, size_m: float, seed: int) -> tuple[Float, bool]:
 
 
 def _best_spot(
-    surface: Surface, caster: RayCaster, slot: int, primitive: str, seed: int, above: _Neighbours
+    surface: Surface, caster: RayCaster, slot: int, primitive: Primitive, seed: int, above: _Neighbours
 ) -> Spot | None:
     """The first place whose whole path stays on the slot and a hand would choose; if none of TRIED places is so, the
     one with the least against it (see _against)."""
@@ -210,7 +218,7 @@ def _frame(spot: Spot) -> tuple[Float, Float, Float]:
     return spot.centre[None], spot.x_axis[None], spot.normal[None]
 
 
-def _points_on(surface: Surface, caster: RayCaster, spot: Spot, primitive: str, seed: int) -> tuple[Float, bool]:
+def _points_on(surface: Surface, caster: RayCaster, spot: Spot, primitive: Primitive, seed: int) -> tuple[Float, bool]:
     path, cyclic = _planar(primitive, spot.size_m, seed)
     height, _, _ = lay(surface.mesh, caster, _frame(spot), path, spot.size_m)
     return in_space(_frame(spot), path, height)[0], cyclic

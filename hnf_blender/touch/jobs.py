@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from hnf_core import __version__
+from hnf_core.action.primitives import DEFAULT_PRIMITIVE, Primitive
 from hnf_core.cli.touch import TouchRequest
 from hnf_core.errors import HnfError, SceneError
 from hnf_core.files import content_hash
@@ -25,8 +26,6 @@ from .report import Counts, Failed, Skipped
 from .store import STORE_VERSION
 from .targets import Target, resolve_target
 
-DEFAULT_PRIMITIVE = "default"
-
 
 @dataclass(frozen=True)
 class Job:
@@ -38,7 +37,7 @@ class Job:
     key: str
     seed: int
     curve_name: str = ""
-    primitive: str = ""
+    primitive: Primitive | None = None
     slot: int | None = None
     stroke: SceneStroke | None = None
 
@@ -114,7 +113,7 @@ class Session:
     def place(self, obj: Any, job: Job, counts: Counts) -> Any:
         """The job's primitive as a stroke object of the scene, like one drawn by hand."""
         placed = place_primitive(
-            self.scene, obj, job.slot, job.primitive, self.metres_per_unit, self.depsgraph,
+            self.scene, obj, job.slot, job.primitive or DEFAULT_PRIMITIVE, self.metres_per_unit, self.depsgraph,
             seed=job.seed, name=job.name, surfaces=self.surface,
         )  # fmt: skip
         counts.rays += placed.rays
@@ -127,11 +126,11 @@ class Session:
         key = self._key(touched, "curve", stroke_hash(stroke), str(seed))
         return Job(curve.name, stroke.object_name, key, seed, curve_name=curve.name, stroke=stroke)
 
-    def job_to_place(self, name: str, target: Target, primitive: str) -> Job:
+    def job_to_place(self, name: str, target: Target, primitive: Primitive) -> Job:
         touched = self.touched(self.scene.objects[target.object_name])
         seed = self.seed(0)
         around = neighbours_hash_parts(touched.obj, self.scene, self.depsgraph, self.metres_per_unit)
-        key = self._key(touched, "placed", f"{primitive} {target.slot} {seed}", *around)
+        key = self._key(touched, "placed", f"{primitive.name} {target.slot} {seed}", *around)
         return Job(name, target.object_name, key, seed, primitive=primitive, slot=target.slot)
 
     def _key(self, touched: TouchedObject, *parts: str) -> str:
@@ -151,7 +150,7 @@ def gather(session: Session) -> Gathered:
     for curve in stroke_objects(scene):
         _try(found, curve.name, lambda curve=curve: session.job_of_curve(curve))
     for placement in request.placements:
-        name = _unique(f"{placement.primitive} on {placement.target}", found)
+        name = _unique(f"{placement.primitive.name} on {placement.target}", found)
         _try(
             found, name,
             lambda placement=placement, name=name: session.job_to_place(
@@ -162,7 +161,7 @@ def gather(session: Session) -> Gathered:
             "no stroke in the scene and none asked for: one default stroke (left to right, 100 mm/s, 1 N) per material."
         )
         for obj, slot, material in default_slots(scene, session.depsgraph):
-            name = _unique(f"{DEFAULT_PRIMITIVE} on {material or obj.name}", found)
+            name = _unique(f"{DEFAULT_PRIMITIVE.name} on {material or obj.name}", found)
             _try(
                 found, name,
                 lambda obj=obj, slot=slot, name=name: session.job_to_place(

@@ -1,4 +1,5 @@
-"""The eight synthetic action classes of HNF+ (HNF, "Training"): three scrapes, each soft and hard, and two rubs."""
+"""The eight synthetic action classes of HNF+ (HNF, "Training"): three scrapes, each soft and hard, and two rubs; and
+any other scrape or rub, of its own direction, force and speed (words.py)."""
 
 from __future__ import annotations
 
@@ -87,13 +88,13 @@ def find_primitive(name: str) -> Primitive:
     return PRIMITIVES[name]
 
 
-def primitive_path(name: str, *, size_m: float = SCRAPE_LENGTH_M, seed: int = 0) -> PlanarPath:
+def primitive_path(primitive: Primitive | str, *, size_m: float = SCRAPE_LENGTH_M, seed: int = 0) -> PlanarPath:
     """A primitive as a path that fits in a disc of diameter size_m; a smaller surface gives a shorter scrape, or a
     rub of more and smaller rounds, at the same speed and force.
 
     seed: shape of a rub (scrapes ignore it). Raises UsageError for an unknown name or a size below 0.1 mm.
     """
-    primitive = find_primitive(name)
+    primitive = find_primitive(primitive) if isinstance(primitive, str) else primitive
     if not size_m >= MIN_SIZE_M:
         raise UsageError(f"a stroke cannot fit in {size_m * 1e3:g} mm.", remedy="Choose a larger surface.")
     if primitive.kind == "scrape":
@@ -130,7 +131,8 @@ def _rub_points(distance: float, extent: float, rng: np.random.Generator) -> Flo
     handed = rng.choice([-1.0, 1.0])
     turn = np.array([[np.cos(tilt), -np.sin(tilt)], [np.sin(tilt), np.cos(tilt)]])
     order = np.arange(1.0, 4.0)
-    for rounds in range(2, 10_000):
+    rounds = 2
+    while rounds < 10_000:
         t = np.linspace(0.0, 2 * np.pi, 12 * rounds, endpoint=False)
         wander = (np.cos(order[:, None] * t + phase[:, :, None]) / order[:, None]).sum(axis=1) / 3
         angle = handed * rounds * t + 0.5 * wander[2]
@@ -140,8 +142,11 @@ def _rub_points(distance: float, extent: float, rng: np.random.Generator) -> Flo
         dense = arc.point_at(np.linspace(0.0, arc.length, 40 * rounds))
         centre = (dense.min(axis=0) + dense.max(axis=0)) / 2
         reach = 1.001 * float(np.linalg.norm(dense - centre, axis=1).max())
-        if arc.length * extent / 2 / reach >= distance:
+        fitting = arc.length * extent / 2 / reach
+        if fitting >= distance:
             return np.asarray((loop - centre) * (distance / arc.length))
+        # Length grows about in step with the rounds: far from it, half of what is missing is skipped.
+        rounds = max(rounds + 1, int(0.5 * rounds * distance / fitting))
     raise UsageError(
         f"a rub of {distance * 1e3:g} mm does not fit in {extent * 1e3:g} mm.", remedy="Choose a larger surface."
     )
@@ -153,7 +158,7 @@ def path_curve(path: PlanarPath) -> ArcCurve:
 
 
 def primitive_action(
-    name: str,
+    primitive: Primitive | str,
     *,
     rate: float = ACTION_RATE_HZ,
     seed: int = 0,
@@ -161,7 +166,7 @@ def primitive_action(
     probe: str = "pen",
 ) -> Action:
     """u(t) of a primitive on a flat surface whose tangent is +x, sampled at rate [Hz]. Raises UsageError."""
-    path = primitive_path(name, size_m=size_m, seed=seed)
+    path = primitive_path(primitive, size_m=size_m, seed=seed)
     curve = path_curve(path)
     time = np.arange(int(np.ceil(path.duration_s * rate - 1e-9)) + 1) / rate
     progress, slope = path.progress.sample(time)

@@ -14,6 +14,7 @@ import numpy as np
 from ..action.action import Action
 from ..action.primitives import PRIMITIVES, primitive_action
 from ..action.table import read_action_csv
+from ..action.words import primitive_of
 from ..errors import UsageError
 from ..export.wav import write_wav
 from ..field.carriers import MODEL_RATE_HZ
@@ -37,7 +38,10 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     material.add_argument("--material", metavar="NAME", help="a library material, see `hnf materials`")
     material.add_argument("--weights", type=Path, metavar="FILE", help="a field trained for one material")
     stroke = parser.add_mutually_exclusive_group(required=True)
-    stroke.add_argument("--stroke", choices=sorted(PRIMITIVES), metavar="PRIMITIVE", help=", ".join(PRIMITIVES))
+    stroke.add_argument(
+        "--stroke", type=primitive_of, metavar="WORDS",
+        help=f"{', '.join(PRIMITIVES)}; or in words: 'scrape right to left, 1.5 N, 80 mm/s'",
+    )  # fmt: skip
     stroke.add_argument(
         "--action", type=Path, metavar="FILE.csv", help="a table time_s,direction_rad,speed_m_s,force_n; any time grid"
     )
@@ -59,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
         action, stroke_name = read_action_csv(arguments.action, arguments.probe), arguments.action.name
     else:
         action = replace(primitive_action(arguments.stroke, seed=arguments.seed), probe=arguments.probe)
-        stroke_name = arguments.stroke
+        stroke_name = arguments.stroke.name
     result = _synthesise(field, material, action, arguments.seed, arguments.rate, stroke_name)
     write_wav(arguments.out, result.signal)
     for warning in result.warnings:

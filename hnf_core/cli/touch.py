@@ -7,15 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..action.primitives import PRIMITIVES
+from ..action.primitives import PRIMITIVES, Primitive
+from ..action.words import primitive_of
 from ..errors import UsageError
 
 
 @dataclass(frozen=True)
 class Placement:
-    """A primitive to be placed: --stroke PRIMITIVE --on OBJECT[:SLOT]."""
+    """A primitive to be placed: --stroke WORDS --on OBJECT[:SLOT]."""
 
-    primitive: str
+    primitive: Primitive
     target: str
 
 
@@ -56,8 +57,9 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser.add_argument("scene", nargs="?", type=Path, metavar="SCENE", help="scene file; default: the open file")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
     parser.add_argument(
-        "--stroke", action="append", default=[], metavar="PRIMITIVE", choices=sorted(PRIMITIVES), dest="strokes",
-        help=f"place a stroke: {', '.join(PRIMITIVES)}; needs --on",
+        "--stroke", action="append", default=[], metavar="WORDS", type=primitive_of, dest="strokes",
+        help=f"place a stroke: {', '.join(PRIMITIVES)}; or in words: 'scrape right to left, 1.5 N, 80 mm/s'. "
+        "Needs --on",
     )  # fmt: skip
     parser.add_argument(
         "--on", action="append", default=[], metavar="OBJECT[:SLOT]", dest="targets",
@@ -79,7 +81,7 @@ def request_from(arguments: argparse.Namespace) -> TouchRequest:
     if len(arguments.strokes) != len(arguments.targets):
         raise UsageError(
             f"{len(arguments.strokes)} --stroke but {len(arguments.targets)} --on.",
-            remedy="Give each --stroke PRIMITIVE its own --on OBJECT[:SLOT].",
+            remedy="Give each --stroke its own --on OBJECT[:SLOT].",
         )
     if arguments.scale is not None and not 0.0 < arguments.scale < float("inf"):
         raise UsageError("--scale must be a positive number of metres per unit.", remedy="Example: --scale 0.01")
