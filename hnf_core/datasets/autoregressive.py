@@ -145,7 +145,7 @@ class HattProcess:
         signals = synthesise(states, noise)
         out = []
         for index, action in enumerate(actions):
-            samples, notes = np.ascontiguousarray(signals[:, index]), list(states.notes[index])
+            samples, notes = signals[:, index].copy(), list(states.notes[index])
             if rate != PROCESS_RATE_HZ:
                 samples = resample(samples, rate, PROCESS_RATE_HZ)[0]
                 notes.append(f"the model's {rate:g} Hz resampled to 10 kHz: nothing above {rate / 2:g} Hz")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
+from ..errors import FileError
 from .recording import Process, Recording
 
 
@@ -44,3 +46,18 @@ class DataSet(Protocol):
     def image(self, name: str) -> Path | None:
         """A photograph of the material, where there is one."""
         ...
+
+
+def range_of(recordings: Sequence[Recording]) -> ActionRange:
+    """What recorded strokes cover: 5th to 95th percentile of speed and force while in contact and moving.
+
+    Raises FileError where there is no such moment.
+    """
+    speed = np.concatenate([recording.action.speed for recording in recordings] or [np.zeros(0)])
+    force = np.concatenate([recording.action.force for recording in recordings] or [np.zeros(0)])
+    touching = (force > 0.0) & (speed > 0.0)
+    if not touching.any():
+        where = recordings[0].source if recordings else ""
+        raise FileError("nothing is touched in it while moving.", where=where, remedy="Choose another material.")
+    speeds, forces = (np.percentile(each[touching], [5.0, 95.0]) for each in (speed, force))
+    return ActionRange((float(speeds[0]), float(speeds[1])), (float(forces[0]), float(forces[1])))

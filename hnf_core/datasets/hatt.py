@@ -9,9 +9,10 @@ from pathlib import Path
 
 from ..errors import FileError
 from .autoregressive import PROCESS_RATE_HZ, HattProcess
-from .dataset import ActionRange, DataSet
+from .dataset import ActionRange, DataSet, range_of
 from .folders import files_below, opening
 from .hatt_models import TextureModel, read_texture_model
+from .hatt_recordings import QUANTITIES, assemble, quantity_in, read_signals
 from .names import match_name, plain_name
 from .recording import Recording
 
@@ -20,63 +21,102 @@ PICTURES = (".bmp", ".jpg", ".jpeg", ".png", ".tif", ".tiff")
 
 @dataclass(frozen=True)
 class HattFolder(DataSet):
-    """Models are known by what they hold (a modelSet), not by their place. Where a material has several, the one at
-    10 kHz counts."""
+    """Models are known by what they hold (a modelSet), not by their place; of several for one material, the one at
+    10 kHz counts. Other XML files are recordings where their name, their folder or their first lines name a quantity.
+    """
 
     folder: Path
 
     @cached_property
-    def _models(self) -> dict[str, Path]:
-        """Material → file; those at 10 kHz replace others."""
-        found: dict[str, tuple[bool, Path]] = {}
+    def _files(self) -> tuple[dict[str, Path], list[Path]]:
+        """Material → model file; and every file that may be a recording."""
+        models: dict[str, tuple[bool, Path]] = {}
+        others: list[Path] = []
         for path in files_below(self.folder, (".xml",)):
             start = opening(path).lower()
             if b"<modelset" not in start and not path.stem.lower().startswith("models_"):
+                named = quantity_in("/".join(path.relative_to(self.folder).parts))
+                if named or quantity_in(start.decode("latin-1")):
+                    others.append(path)
                 continue
-            name = " ".join(re.sub(r"(?i)^models_", "", path.stem).replace("_", " ").split())
+            name = _spaced(re.sub(r"(?i)^models_", "", path.stem))
             rate = re.search(rb"<samplerate>\s*([0-9.]+)", start)
             full = rate is None or float(rate[1]) == PROCESS_RATE_HZ
-            key = next((known for known in found if plain_name(known) == plain_name(name)), name)
-            if key not in found or (full and not found[key][0]):
-                found[key] = (full, path)
-        return {name: path for name, (_, path) in sorted(found.items())}
+            key = next((known for known in models if plain_name(known) == plain_name(name)), name)
+            if key not in models or (full and not models[key][0]):
+                models[key] = (full, path)
+        return {name: path for name, (_, path) in models.items()}, others
+
+    @cached_property
+    def _strokes(self) -> dict[str, dict[str, list[Path]]]:
+        """Material → stroke → the files of its quantities."""
+        models, others = self._files
+        out: dict[str, dict[str, list[Path]]] = {}
+        for path in others:
+            relative = path.relative_to(self.folder)
+            bare = re.sub(rf"(?i)({'|'.join(QUANTITIES)})\w*?(?=_|\b|[A-Z])", "", path.stem)
+            material = _material_of(bare, tuple(models))
+            above = [part for part in relative.parts[:-1] if quantity_in(part) is None]
+            out.setdefault(material, {}).setdefault("/".join([*above, plain_name(bare)]), []).append(path)
+        return out
 
     @cached_property
     def materials(self) -> tuple[str, ...]:
-        names = tuple(self._models)
+        names = tuple(sorted({*self._files[0], *self._strokes}))
         if not names:
             raise FileError(
-                "no texture models (XML files with a modelSet) are in it.",
+                "neither texture models (XML files with a modelSet) nor recordings are in it.",
                 where=str(self.folder),
                 remedy="Give the toolkit's folder, the one with Models10000Hz, or the XML files themselves.",
             )
         return names
 
-    def model(self, name: str) -> TextureModel:
-        """Raises FileError where the file is damaged, MaterialError for an unknown name."""
-        known = match_name(name, self.materials, str(self.folder))
-        return replace(read_texture_model(self._models[known]), material=known)
-
     def recordings(self, name: str) -> list[Recording]:
-        match_name(name, self.materials, str(self.folder))
-        return []
+        known = match_name(name, self.materials, str(self.folder))
+        strokes = self._strokes.get(known, {})
+        return [
+            assemble([signal for path in paths for signal in read_signals(path)], known, str(paths[0]))
+            for _, paths in sorted(strokes.items())
+        ]
 
-    def process(self, name: str) -> HattProcess:
-        return HattProcess(self.model(name))
+    def process(self, name: str) -> HattProcess | None:
+        known = match_name(name, self.materials, str(self.folder))
+        path = self._files[0].get(known)
+        return None if path is None else HattProcess(replace(read_texture_model(path), material=known))
 
     def action_range(self, name: str) -> ActionRange:
-        """From the least speed and force at which the texture sounds in the recordings behind the model (axes and
-        corners of its hull are the toolkit's own additions) to the hull's largest."""
-        model = self.model(name)
-        sounding = model.variances > 0.0
-        if not sounding.any():
-            raise FileError("every variance is 0: it is silent.", where=model.source, remedy="Get the file again.")
-        return ActionRange(
-            speed_m_s=(float(model.speeds[sounding].min()), model.max_speed),
-            force_n=(float(model.forces[sounding].min()), model.max_force),
-        )
+        """Of a model: from the least speed and force at which it sounds (axes and corners of its hull are the toolkit's
+        own additions) to the hull's largest. Without one: what its recordings cover."""
+        process = self.process(name)
+        return range_of(self.recordings(name)) if process is None else _hull_range(process.model)
 
     def image(self, name: str) -> Path | None:
         wanted = plain_name(match_name(name, self.materials, str(self.folder)))
         pictures = {plain_name(path.stem): path for path in reversed(files_below(self.folder, PICTURES))}
         return pictures.get(wanted + "square") or pictures.get(wanted)
+
+
+def _hull_range(model: TextureModel) -> ActionRange:
+    sounding = model.variances > 0.0
+    if not sounding.any():
+        raise FileError("every variance is 0: it is silent.", where=model.source, remedy="Get the file again.")
+    return ActionRange(
+        speed_m_s=(float(model.speeds[sounding].min()), model.max_speed),
+        force_n=(float(model.forces[sounding].min()), model.max_force),
+    )
+
+
+def _spaced(name: str) -> str:
+    return " ".join(name.replace("_", " ").split())
+
+
+def _material_of(stem: str, known: tuple[str, ...]) -> str:
+    """The known material that the stem ends with (a number of the take may follow); else what stands behind the prefix
+    and before _<number>, _train or _test."""
+    plain = re.sub(r"(?i)_(train|test)\w*$", "", stem)
+    for ending in (plain, re.sub(r"_\d+$", "", plain)):
+        fitting = [name for name in known if plain_name(ending).endswith(plain_name(name))]
+        if fitting:
+            return max(fitting, key=len)
+    rest = re.sub(r"_\d+$", "", plain)
+    return _spaced(rest.partition("_")[2] or rest) or stem

@@ -164,7 +164,7 @@ def test_unknown_names_kinds_and_folders_are_refused(tmp_path):
     with pytest.raises(FileError, match="no folder"):
         _ = open_dataset("hatt", tmp_path / "none").materials
     (tmp_path / "empty").mkdir()
-    with pytest.raises(FileError, match="no texture models"):
+    with pytest.raises(FileError, match="neither texture models"):
         _ = open_dataset("hatt", tmp_path / "empty").materials
 
 

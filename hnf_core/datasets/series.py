@@ -1,0 +1,104 @@
+"""Measured series on any time grid → a(t) at 10 kHz and an action at 200 Hz."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..action.action import ACTION_RATE_HZ, Action
+from ..errors import FileError
+
+Float = NDArray[np.float64]
+
+SIGNAL_RATE_HZ = 10_000.0
+HAND_HZ = 20.0
+"""A hand does not move faster; what a force or speed sensor shows above is the vibration itself, and an action that
+carries the answer would be learned from instead of the material."""
+RESTING_M_S = 1e-3
+"""Slower than this, the last direction is kept: below it a tracked position is mostly noise."""
+SHORTEST_S = 0.1
+
+
+def check_grid(time: Float, where: str) -> None:
+    """Raises FileError unless time (n ≥ 4,) rises from sample to sample."""
+    if len(time) < 4:
+        raise FileError(f"only {len(time)} samples.", where=where, remedy="Get the file again.")
+    if np.any(np.diff(time) <= 0.0):
+        row = int(np.argmax(np.diff(time) <= 0.0)) + 2
+        raise FileError(f"time does not rise at sample {row}.", where=where, remedy="Get the file again.")
+
+
+def resampled(time: Float, values: Float, at: Float) -> Float:
+    """values (n,) or (n, k) on a rising grid, at other times: cubic Hermite, slopes by parabolas through three samples.
+
+    Beyond the ends the end values are kept.
+    """
+    step = np.diff(time)
+    step = step.reshape(-1, *[1] * (values.ndim - 1))
+    secant = np.diff(values, axis=0) / step
+    slope = np.concatenate(
+        [secant[:1], (secant[:-1] * step[1:] + secant[1:] * step[:-1]) / (step[:-1] + step[1:]), secant[-1:]]
+    )
+    at = np.clip(at, time[0], time[-1])
+    low = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
+    width = step[low]
+    t = ((at - time[low]).reshape(width.shape)) / width
+    rise = values[low + 1] - values[low]
+    bend = width * (slope[low] + slope[low + 1]) - 2.0 * rise
+    return np.asarray(values[low] + t * (width * slope[low] + t * (rise - width * slope[low] - bend * (1.0 - t))))
+
+
+def smoothed(values: Float, rate: float, cutoff_hz: float = HAND_HZ) -> Float:
+    """(n,) or (n, k) without what is faster than cutoff_hz (Gaussian, −3 dB there, no delay; ends point-mirrored)."""
+    sigma = np.sqrt(np.log(2.0)) / (2.0 * np.pi * cutoff_hz)
+    pad = min(len(values) - 1, int(np.ceil(4.0 * sigma * rate)))
+    first, last = values[:1], values[-1:]
+    longer = np.concatenate([2 * first - values[pad:0:-1], values, 2 * last - values[-2 : -pad - 2 : -1]])
+    gain = np.exp(-0.5 * np.square(2.0 * np.pi * sigma * np.fft.rfftfreq(len(longer), 1.0 / rate)))
+    spectrum = np.fft.rfft(longer, axis=0) * gain.reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray(np.fft.irfft(spectrum, len(longer), axis=0)[pad : pad + len(values)])
+
+
+def hand_series(time: Float, values: Float, start: float, count: int) -> Float:
+    """A measured quantity at the action rate, count samples from start [s], without what is faster than a hand.
+
+    Smoothed on a grid as fine as the measurement, so that its vibration does not alias.
+    """
+    rate = max(ACTION_RATE_HZ, (len(time) - 1) / float(time[-1] - time[0]))
+    even = time[0] + np.arange(int((time[-1] - time[0]) * rate + 1e-6) + 1) / rate
+    slow = smoothed(resampled(time, values, even), rate)
+    return resampled(even, slow, start + np.arange(count) / ACTION_RATE_HZ)
+
+
+def whole_action_samples(duration_s: float, where: str) -> int:
+    """Action samples that fit into a duration. Raises FileError for less than SHORTEST_S."""
+    if not duration_s >= SHORTEST_S:
+        raise FileError(
+            f"all its signals together last {max(duration_s, 0.0):.3f} s only.",
+            where=where,
+            remedy="The files of this stroke do not belong together, or are cut off.",
+        )
+    return int(duration_s * ACTION_RATE_HZ + 1e-6) + 1
+
+
+def action_of(direction: Float, speed: Float, force: Float, probe: str = "pen") -> Action:
+    """Series (n, 2), (n,) m/s, (n,) N at the action rate → Action; negative speed and force count as 0."""
+    speed, force = np.maximum(speed, 0.0), np.maximum(force, 0.0)
+    position = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))]) / ACTION_RATE_HZ
+    return Action(ACTION_RATE_HZ, direction, speed, force, position, force > 0.0, probe)
+
+
+def motion(position: Float) -> tuple[Float, Float]:
+    """(n, 2) m at the action rate → direction (n, 2), speed (n,). Where the hand rests, the last direction is kept
+    (before the first motion, the first; with no motion at all, +x)."""
+    velocity = np.gradient(position, 1.0 / ACTION_RATE_HZ, axis=0)
+    speed = np.linalg.norm(velocity, axis=1)
+    moving = np.flatnonzero(speed > RESTING_M_S)
+    if len(moving) == 0:
+        return straight_direction(len(position), 0.0), speed
+    latest = moving[np.maximum(np.searchsorted(moving, np.arange(len(speed)), side="right") - 1, 0)]
+    return velocity[latest] / speed[latest, None], speed
+
+
+def straight_direction(count: int, angle_rad: float) -> Float:
+    return np.tile([np.cos(angle_rad), np.sin(angle_rad)], (count, 1))
