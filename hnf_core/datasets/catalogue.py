@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from ..errors import UsageError
+from .cluster import ClusterFolder
 from .dataset import DataSet
 from .hatt import HattFolder
+from .lmt import LmtFolder
 from .simulated import SimulatedLibrary
 
-KINDS = ("hatt", "simulated")
+_FOLDERS: dict[str, Callable[[Path], DataSet]] = {"hatt": HattFolder, "cluster": ClusterFolder, "lmt": LmtFolder}
+KINDS = (*_FOLDERS, "simulated")
 
 
 def open_dataset(kind: str, folder: Path | None) -> DataSet:
@@ -25,4 +29,4 @@ def open_dataset(kind: str, folder: Path | None) -> DataSet:
         return SimulatedLibrary()
     if folder is None:
         raise UsageError(f"{kind} needs the folder of your own copy.", remedy=f"For example: --data {kind} DIR")
-    return HattFolder(folder)
+    return _FOLDERS[kind](folder)

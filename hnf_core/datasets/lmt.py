@@ -1,0 +1,127 @@
+"""LMT haptic texture databases with 69 and with 108 surfaces: accelerations without the hand's motion.
+
+M. Strese, C. Schuwerk, A. Iepure & E. Steinbach (2017), "Multimodal feature-based surface material classification",
+IEEE Transactions on Haptics 10(2).
+69: Training/Accel/<label>_query<n>.txt, Testing/AccelScansDFT321/<label>_<person>.txt, already fused.
+108: AccelScansComponents/Movement/{Training,Testing}/G<digit><Name>…_{train|test}<n>.txt, with or without an axis.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import FileError
+from ..simulation.dft321 import dft321
+from .columns import read_numbers
+from .dataset import ActionRange, DataSet
+from .folders import files_below
+from .names import match_name, plain_name
+from .recording import Recording
+from .series import SIGNAL_RATE_HZ, action_of, straight_direction, whole_action_samples
+
+Float = NDArray[np.float64]
+
+ASSUMED_SPEED_M_S = 0.1
+ASSUMED_FORCE_N = 1.0
+ASSUMPTION = (
+    f"no action was recorded: direction +x, {ASSUMED_SPEED_M_S:g} m/s and {ASSUMED_FORCE_N:g} N are assumed",
+    "the files have no units: 10 kHz and m/s² are assumed",
+)
+_TAKE = r"(?P<take>(?:query|train|training|test|testing)_?\d+)"
+_FORMS = (
+    re.compile(rf"(?i)(?P<name>G\d.*?)(?:_(?:Movement|Accel\w*?))*(?:_(?P<axis>[XYZ]))?_{_TAKE}(?:_(?P<last>[XYZ]))?"),
+    re.compile(rf"(?i)(?P<name>.+?)_{_TAKE}"),
+    re.compile(r"(?P<name>.+?)_(?P<take>[^_]+)"),
+)
+
+
+@dataclass(frozen=True)
+class LmtFolder(DataSet):
+    """No action was recorded with these sets: a recording's `known` is empty and its notes say what is assumed."""
+
+    folder: Path
+
+    @cached_property
+    def _strokes(self) -> dict[str, dict[str, dict[str, Path]]]:
+        """Material → take → axis ("" for a fused file) → file."""
+        out: dict[str, dict[str, dict[str, Path]]] = {}
+        shown: dict[str, str] = {}
+        for path in files_below(self.folder, (".txt",)):
+            parts = path.relative_to(self.folder).parts[:-1]
+            if any(word in part.lower() for part in parts for word in ("sound", "image", "audio", "tapping", "impact")):
+                continue
+            match = next((found for form in _FORMS if (found := form.fullmatch(path.stem))), None)
+            among_scans = any("accel" in part.lower() for part in (self.folder.name, *parts))
+            if match is None or not (among_scans or _name_is_certain(path.stem)):
+                continue
+            groups = match.groupdict()
+            name = shown.setdefault(plain_name(groups["name"]), groups["name"])
+            axis = (groups.get("axis") or groups.get("last") or "").lower()
+            axes_apart = [part for part in parts if part.lower() not in ("x", "y", "z")]
+            if not axis and len(axes_apart) < len(parts):
+                axis = next(part.lower() for part in parts if part.lower() in ("x", "y", "z"))
+            take = "/".join([*axes_apart, groups["take"]])
+            out.setdefault(name, {}).setdefault(take, {})[axis] = path
+        return out
+
+    @cached_property
+    def materials(self) -> tuple[str, ...]:
+        if not self._strokes:
+            raise FileError(
+                "no accelerations of the 69 or the 108 set are in it.",
+                where=str(self.folder),
+                remedy="Give the folder with Training/Accel and Testing, or with AccelScansComponents.",
+            )
+        return tuple(sorted(self._strokes))
+
+    def recordings(self, name: str) -> list[Recording]:
+        known = match_name(name, self.materials, str(self.folder))
+        return [read_scan(files, known) for _, files in sorted(self._strokes[known].items())]
+
+    def process(self, name: str) -> None:
+        match_name(name, self.materials, str(self.folder))
+
+    def action_range(self, name: str) -> ActionRange:
+        """The one assumed action."""
+        match_name(name, self.materials, str(self.folder))
+        return ActionRange((ASSUMED_SPEED_M_S,) * 2, (ASSUMED_FORCE_N,) * 2)
+
+    def image(self, name: str) -> Path | None:
+        wanted = plain_name(match_name(name, self.materials, str(self.folder)))
+        found = files_below(self.folder, (".jpg", ".jpeg", ".png", ".bmp"))
+        return next((path for path in found if plain_name(path.stem).startswith(wanted)), None)
+
+
+def _name_is_certain(stem: str) -> bool:
+    """Whether a name is one of the sets' own, wherever the file lies; <label>_<person> alone is not."""
+    return any(form.fullmatch(stem) for form in _FORMS[:2])
+
+
+def read_scan(files: dict[str, Path], material: str) -> Recording:
+    """One take: a fused file (axis ""), or one per axis → Recording, mean removed, axes fused by DFT321.
+
+    Raises FileError where a file cannot be used, or only some axes are there.
+    """
+    where = str(next(iter(files.values())))
+    if set(files) not in ({""}, {"x", "y", "z"}):
+        raise FileError(
+            f"of its axes only {', '.join(sorted(files))} are there.",
+            where=where,
+            remedy="Give X, Y and Z, or one file.",
+        )
+    columns = [read_numbers(files[axis]) for axis in sorted(files)]
+    if len({len(column) for column in columns}) != 1:
+        raise FileError("its axes are not equally long.", where=where, remedy="Get the files again.")
+    values = np.stack([column - column.mean() for column in columns], axis=1)
+    count = whole_action_samples(len(values) / SIGNAL_RATE_HZ, where)
+    action = action_of(
+        straight_direction(count, 0.0), np.full(count, ASSUMED_SPEED_M_S), np.full(count, ASSUMED_FORCE_N)
+    )
+    fused = dft321(values) if values.shape[1] == 3 else values[:, 0].copy()
+    return Recording(action, fused[: (count - 1) * 50].copy(), SIGNAL_RATE_HZ, material, where, frozenset(), ASSUMPTION)
