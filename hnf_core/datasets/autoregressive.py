@@ -134,7 +134,7 @@ class HattProcess:
         return self.model.material
 
     def record(self, actions: Sequence[Action], seed: int) -> list[Recording]:
-        """One recording per action; action i of a call depends on (seed, i) only.
+        """One recording per action; action i of a call depends on (seed, i) only. A model knows no direction.
 
         The filter of every 5 ms is that of the action at its middle. Each signal starts as if the hand had already been
         moving. No contact: no excitation. Raises UsageError where actions are not equally long.
@@ -156,6 +156,7 @@ class HattProcess:
                     sample_rate=PROCESS_RATE_HZ,
                     material=self.name,
                     source=f"{self.model.source}, seed {seed}, action {index}",
+                    known=frozenset({"speed", "force"}),
                     notes=tuple(notes),
                 )
             )

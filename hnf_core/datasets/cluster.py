@@ -39,6 +39,7 @@ FAMILIES = ((38, "wood"), (49, "stone"), (65, "polymer"), (74, "metal"), (79, "g
 """First identity beyond each family."""
 SLOWEST_SAMPLING_HZ = 2000.0
 """Slower than this, an accelerometer does not hold the touch band."""
+LONG_GAP_S = 5e-3
 _NAME = re.compile(r"(\d+)_(\d+(?:\.\d+)?)_(\d+(?:\.\d+)?)_(\d+(?:\.\d+)?)_(\d+)")
 
 
@@ -110,11 +111,13 @@ def read_stroke(files: dict[str, Path], material: str) -> Recording:
     path = files["accel"]
     where = str(path)
     time, axes = _series(path, ("X", "Y", "Z"), "acceleration", "g")
-    if (len(time) - 1) / (time[-1] - time[0]) < SLOWEST_SAMPLING_HZ:
+    rate = (len(time) - 1) / float(time[-1] - time[0])
+    if rate < SLOWEST_SAMPLING_HZ:
         raise FileError(
-            f"sampled {(len(time) - 1) / (time[-1] - time[0]):.0f} times a second only.", where=where,
+            f"sampled {rate:.0f} times a second only.",
+            where=where,
             remedy=f"Its time column should be in seconds; {SLOWEST_SAMPLING_HZ:g} Hz are the least.",
-        )  # fmt: skip
+        )
     force = _series(files["force"], ("force",), "force", "N") if "force" in files else None
     place = _series(files["position"], ("X", "Y"), "position", "mm") if "position" in files else None
     grids = [time, *(series[0] for series in (force, place) if series is not None)]
@@ -122,7 +125,10 @@ def read_stroke(files: dict[str, Path], material: str) -> Recording:
     count = whole_action_samples(stop - start, where)
     at = start + np.arange(round((count - 1) / 200.0 * SIGNAL_RATE_HZ)) / SIGNAL_RATE_HZ
     samples = resampled(time, axes, at)
-    known, notes = set(), [f"{(len(time) - 1) / (time[-1] - time[0]):.0f} Hz resampled to 10 kHz; gravity removed"]
+    known, notes = set(), [f"{rate:.0f} Hz resampled to 10 kHz; gravity removed"]
+    gap = float(np.diff(time).max())
+    if gap > LONG_GAP_S:
+        notes.append(f"a gap of {1e3 * gap:.0f} ms between samples is bridged")
     angle, speed, newtons = _announced(path)
     if force is None:
         pressed = np.full(count, newtons)

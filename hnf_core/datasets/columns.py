@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..errors import FileError
 from .safe_xml import LARGEST_BYTES
+from .written_units import BEYOND, measurable
 
 Float = NDArray[np.float64]
 _AGAIN = "Get the file again from the data set."
@@ -66,8 +67,8 @@ def _cells(row: list[str], places: list[int], number: int, where: str) -> list[f
         values = [float(row[place]) for place in places]
     except (ValueError, IndexError) as error:
         raise FileError(f"line {number}: a cell is missing or no number.", where=where, remedy=_AGAIN) from error
-    if not np.isfinite(values).all():
-        raise FileError(f"line {number}: a value is not finite.", where=where, remedy=_AGAIN)
+    if not measurable(np.array(values)).all():
+        raise FileError(f"line {number}: a value is not finite or beyond {BEYOND:g}.", where=where, remedy=_AGAIN)
     return values
 
 

@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 from ..errors import FileError
 from .line_spectra import lsf_from_polynomial
 from .safe_xml import read_xml
-from .written_units import unit_factor
+from .written_units import BEYOND, measurable, unit_factor
 
 Float = NDArray[np.float64]
+SLOWEST_HZ, FASTEST_HZ = 500.0, 1e5
+"""Slower filters hold nothing of touch; the toolkit has 1 and 10 kHz."""
 _AGAIN = "Get the file again from the toolkit."
 
 
@@ -76,7 +78,7 @@ def read_texture_model(path: Path) -> TextureModel:
     return TextureModel(
         material=_text(root, "material") or path.stem.removeprefix("Models_"),
         source=where,
-        sample_rate=_positive(root, "SampleRate", 10_000.0, where, notes),
+        sample_rate=_sample_rate(root, where, notes),
         speeds=speeds,
         forces=forces,
         triangles=_triangles(root, speeds, forces, where, notes),
@@ -117,8 +119,9 @@ def _numbers(element: Element | None, place: str) -> Float:
         numbers = np.array([float(word) for word in words])
     except ValueError as error:
         raise FileError(f"{error}.", where=place, remedy=_AGAIN) from error
-    if not np.isfinite(numbers).all():
-        raise FileError(f"value {int(np.argmin(np.isfinite(numbers))) + 1} is not finite.", where=place, remedy=_AGAIN)
+    if not measurable(numbers).all():
+        bad = int(np.argmin(measurable(numbers))) + 1
+        raise FileError(f"value {bad} is not finite or beyond {BEYOND:g}.", where=place, remedy=_AGAIN)
     return numbers
 
 
@@ -137,6 +140,13 @@ def _positive(root: Element, tag: str, default: float, where: str, notes: list[s
     if value <= 0.0:
         raise FileError(f"{value:g} is not above 0.", where=f"{where}, {tag}", remedy=_AGAIN)
     return value
+
+
+def _sample_rate(root: Element, where: str, notes: list[str]) -> float:
+    rate = _positive(root, "SampleRate", 10_000.0, where, notes)
+    if not SLOWEST_HZ <= rate <= FASTEST_HZ:
+        raise FileError(f"{rate:g} Hz is no rate of a texture.", where=f"{where}, SampleRate", remedy=_AGAIN)
+    return rate
 
 
 def _friction(root: Element, where: str) -> float | None:

@@ -21,7 +21,7 @@ from ..simulation.dft321 import dft321
 from .recording import Recording
 from .safe_xml import read_xml
 from .series import SIGNAL_RATE_HZ, action_of, hand_series, motion, resampled, straight_direction, whole_action_samples
-from .written_units import unit_factor
+from .written_units import BEYOND, measurable, unit_factor
 
 Float = NDArray[np.float64]
 
@@ -116,9 +116,9 @@ def _array(element: Element, where: str) -> Float | None:
         values = np.array([[float(word) for word in row] for row in rows])
     except ValueError as error:
         raise FileError(f"{error}.", where=where, remedy=_AGAIN) from error
-    if not np.isfinite(values).all():
-        bad = int(np.argmin(np.isfinite(values).all(axis=1))) + 1
-        raise FileError(f"value {bad} is not finite.", where=where, remedy=_AGAIN)
+    if not measurable(values).all():
+        bad = int(np.argmin(measurable(values).all(axis=1))) + 1
+        raise FileError(f"value {bad} is not finite or beyond {BEYOND:g}.", where=where, remedy=_AGAIN)
     return values[:, 0] if values.shape[1] == 1 else values
 
 

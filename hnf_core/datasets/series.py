@@ -17,14 +17,17 @@ carries the answer would be learned from instead of the material."""
 RESTING_M_S = 1e-3
 """Slower than this, the last direction is kept: below it a tracked position is mostly noise."""
 SHORTEST_S = 0.1
+AROUND_S = 0.2
+"""What smoothing may look at beyond the part that is kept."""
 
 
 def check_grid(time: Float, where: str) -> None:
-    """Raises FileError unless time (n ≥ 4,) rises from sample to sample."""
+    """Raises FileError unless time [s] (n ≥ 4,) rises from sample to sample, by a nanosecond or more."""
     if len(time) < 4:
         raise FileError(f"only {len(time)} samples.", where=where, remedy="Get the file again.")
-    if np.any(np.diff(time) <= 0.0):
-        row = int(np.argmax(np.diff(time) <= 0.0)) + 2
+    standing = np.diff(time) < 1e-9
+    if standing.any():
+        row = int(np.argmax(standing)) + 2
         raise FileError(f"time does not rise at sample {row}.", where=where, remedy="Get the file again.")
 
 
@@ -65,7 +68,9 @@ def hand_series(time: Float, values: Float, start: float, count: int) -> Float:
     Smoothed on a grid as fine as the measurement, so that its vibration does not alias.
     """
     rate = max(ACTION_RATE_HZ, (len(time) - 1) / float(time[-1] - time[0]))
-    even = time[0] + np.arange(int((time[-1] - time[0]) * rate + 1e-6) + 1) / rate
+    first = max(float(time[0]), start - AROUND_S)
+    last = min(float(time[-1]), start + count / ACTION_RATE_HZ + AROUND_S)
+    even = first + np.arange(int((last - first) * rate + 1e-6) + 1) / rate
     slow = smoothed(resampled(time, values, even), rate)
     return resampled(even, slow, start + np.arange(count) / ACTION_RATE_HZ)
 

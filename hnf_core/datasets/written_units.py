@@ -1,8 +1,11 @@
-"""Units as data files write them → factor into SI."""
+"""Units as data files write them → factor into SI; and which numbers can be a measurement at all."""
 
 from __future__ import annotations
 
 import re
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import FileError
 from ..units import STANDARD_GRAVITY
@@ -20,6 +23,14 @@ _FACTORS = {
     "time": {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6},
     "rate": {"hz": 1.0, "khz": 1e3, "samples/s": 1.0},
 }  # fmt: skip
+
+BEYOND = 1e12
+"""No sensor of touch gives such a number, in whatever unit; its square would overflow."""
+
+
+def measurable(values: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Finite and below BEYOND, element by element."""
+    return np.abs(values) < BEYOND  # False for NaN
 
 
 def unit_factor(quantity: str, written: str, where: str) -> float:

@@ -103,6 +103,21 @@ def test_units_in_the_header_count(tmp_path):
     np.testing.assert_allclose(headed.samples, plain.samples, rtol=1e-5, atol=1e-6)
 
 
+def test_a_gap_is_bridged_and_said(tmp_path):
+    lines = accel().splitlines()
+    recording = read(tmp_path, accel="\n".join(lines[:2000] + lines[2600:]))
+    assert any(
+        note.startswith("a gap of 10") and note.endswith("ms between samples is bridged") for note in recording.notes
+    )
+    assert not any("gap" in note for note in read(tmp_path).notes)
+
+
+def test_a_clock_that_runs_on_for_years_costs_no_memory(tmp_path):
+    lines = force().splitlines()
+    recording = read(tmp_path, force="\n".join([*lines, "1e9,0.5"]))
+    assert recording.action.force.mean() == pytest.approx(0.5, abs=0.05)
+
+
 @pytest.mark.parametrize("root", ["sensor_data", "", "copy/of/sensor_data"])
 def test_the_folder_is_understood_wherever_it_starts(tmp_path, root):
     write(tmp_path, root=root)
@@ -142,6 +157,7 @@ def test_families_are_those_of_the_publication():
         ({"accel": "time,X,Y,Z\n0,0,0,1\n1e-4,0,0,1\n"}, "only 2 samples"),
         ({"force": force(start=100.0)}, "together last"),
         ({"position": "time,X,Y\n0,east,0\n"}, "line 2"),
+        ({"accel": accel().replace("\n0,", "\n1e200,", 1)}, "line 2: a value is not finite or beyond"),
         ({"force": "\0\1\2"}, "not a text file"),
     ],
     ids=str,

@@ -105,6 +105,8 @@ BAD = {
     "unstable": ({"swap": [(values(lsf_at(4, 7)), values(lsf_at(4, 7)[::-1]))]}, "model 5, ARlsf.*rise"),
     "order": ({"swap": [(values(lsf_at(4, 7)), values(lsf_at(4, 6)))]}, "model 5, ARlsf"),
     "rate": ({"rate": "-1"}, "SampleRate.*not above 0"),
+    "slow": ({"rate": "10"}, "SampleRate.*no rate of a texture"),
+    "huge": ({"swap": [("<var>0.05</var>", "<var>1e300</var>")]}, "model 5, var.*beyond"),
     "friction": ({"swap": [("0.25", "-0.25")]}, "mu.*negative"),
 }
 

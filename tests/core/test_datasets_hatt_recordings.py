@@ -182,6 +182,7 @@ def test_only_plain_arrays_leave_the_room(tmp_path):
         sample_rate=10_000.0,
         material="Test Cloth",
         source=recording.source,
+        known=frozenset({"speed", "force"}),
     )  # fmt: skip
     assert type(recording) is type(plain)
     for ours, theirs in zip(leaves(recording), leaves(plain), strict=True):
