@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 from .. import __version__
 from ..errors import HnfError, UsageError
-from . import materials, synth, touch
+from . import materials, synth, touch, train
 
 Runner = Callable[[argparse.Namespace], int]
 
@@ -25,6 +25,7 @@ def build_parser(run_touch: Runner) -> argparse.ArgumentParser:
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
     touch.add_parser(verbs).set_defaults(run=run_touch)
     synth.add_parser(verbs).set_defaults(run=synth.run)
+    train.add_parser(verbs).set_defaults(run=train.run)
     materials.add_parser(verbs).set_defaults(run=materials.run)
     return parser
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
 import textwrap
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -12,37 +10,17 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import __version__
 from ..action.action import Action
-from ..errors import FileError
-from ..files import write_bytes
 from ..signal import Signal
+from .figure import write_figure
 from .path_on_view import StrokeView, draw_path
-from .tracks import INK, QUIET, TRACKS_BOTTOM, draw_spectrum, draw_tracks
+from .tracks import QUIET, TRACKS_BOTTOM, draw_spectrum, draw_tracks
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SIZE_PX = (1600, 1000)
 LEFT = 0.025
-PAPER = "#fbfbf9"
-STYLE: dict[str, Any] = {
-    "font.family": ["DejaVu Sans"],
-    "font.size": 10.5,
-    "text.color": INK,
-    "axes.labelcolor": INK,
-    "axes.edgecolor": "#b9c0c8",
-    "axes.facecolor": "#ffffff",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e8eaed",
-    "xtick.color": QUIET,
-    "ytick.color": QUIET,
-    "figure.facecolor": PAPER,
-    "text.parse_math": False,
-}
 
 
 def stroke_picture(
@@ -63,27 +41,15 @@ def stroke_picture(
     Equal input gives equal bytes with one version of matplotlib. No display and no global figure is used.
     Raises FileError where matplotlib is missing or the file cannot be written.
     """
-    try:
-        import matplotlib.style
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise FileError(
-            f"pictures need matplotlib ({error}).", where=str(path), remedy="Install it, or go without pictures."
-        ) from error
-    with matplotlib.style.context(["default", STYLE]), warnings.catch_warnings():
-        # Names in scripts that the font lacks show as boxes; that is no reason to write to the terminal.
-        warnings.filterwarnings("ignore", message="Glyph .* missing")
-        figure = Figure(figsize=(SIZE_PX[0] / 100, SIZE_PX[1] / 100), dpi=100)
-        FigureCanvasAgg(figure)
+
+    def draw(figure: Figure) -> None:
         figure.text(LEFT, 0.955, _short(title, 90), fontsize=19, fontweight="bold", va="center")
         end = _draw_view(figure, view, _lines(signal, facts or {}))
         if end - TRACKS_BOTTOM > 0.14:
             draw_spectrum(figure, signal, (LEFT + 0.035, TRACKS_BOTTOM, 0.44, min(end - TRACKS_BOTTOM - 0.035, 0.3)))
         draw_tracks(figure, action, signal, frequency_scale, highest_hz)
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", dpi=100, metadata={"Software": f"Haptic Neural Fields {__version__}"})
-    write_bytes(Path(path), buffer.getvalue())
+
+    write_figure(path, SIZE_PX, draw)
 
 
 def linear_to_srgb(rgb: NDArray[Any]) -> NDArray[np.float64]:

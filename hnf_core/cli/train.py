@@ -1,0 +1,152 @@
+"""`hnf train field`: a field for one material, from the user's own copy of a data set or from the simulator."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..action.smooth import wandering_action
+from ..datasets.catalogue import KINDS, open_dataset
+from ..datasets.dataset import DataSet
+from ..datasets.recording import Recording
+from ..errors import HnfError, UsageError
+from ..field.weights import save_field
+from .progress import Progress, ProgressBar
+
+if TYPE_CHECKING:
+    from ..training.material import Trained
+
+STROKE_S = 5.0
+SLOWER, LIGHTER = 0.6, 0.6
+"""How far below the least speed and force of a model's data strokes go: hands do, and the model fades there."""
+LICENCES = {
+    "hatt": "trained on the Penn Haptic Texture Toolkit: non-profit research only, not to be redistributed",
+    "cluster": "trained on the Cluster Haptic Texture Database (CC BY 4.0, doi 10.6084/m9.figshare.29438288)",
+    "lmt": "trained on the LMT haptic texture database: its own terms apply",
+    "simulated": "GPL-3.0-or-later",
+}
+
+
+def add_parser(verbs: Any) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = verbs.add_parser(
+        "train",
+        help="train a field on recordings of one material",
+        description="Train F_Θ for one material and write its weights for `hnf synth --weights`. Recordings are read "
+        "from the folder; where a data set holds texture models, strokes are first synthesised from them. A killed run "
+        "goes on where it was when the same command is given again. Needs the extra [train].",
+    )
+    parser.add_argument("what", choices=["field"], help="what to train")
+    parser.add_argument(
+        "--data", nargs="+", required=True, metavar=("KIND", "DIR"),
+        help=f"{', '.join(KINDS)}, and the folder of your copy (none for simulated)",
+    )  # fmt: skip
+    parser.add_argument("--material", required=True, metavar="NAME", help="material, as the data set calls it")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="weights to write (.safetensors)")
+    parser.add_argument(
+        "--seconds", type=float, default=480.0, metavar="S", help="strokes to synthesise from a model (default 480)"
+    )
+    parser.add_argument(
+        "--source", choices=["model", "recordings"], help="where a data set has both (default: its model)"
+    )
+    parser.add_argument("--hidden", type=int, metavar="H", help="units per layer (default: chosen by the data)")
+    parser.add_argument("--layers", type=int, metavar="L", help="layers (default 4)")
+    parser.add_argument("--states", type=int, metavar="N", help="states accumulated (default 1)")
+    parser.add_argument(
+        "--accumulation", choices=["past", "heads"], help="N past states, or N heads of one state as published"
+    )
+    parser.add_argument("--epochs", type=int, metavar="N", help="at most so many epochs")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of strokes, noise and initial weights")
+    parser.add_argument("--fresh", action="store_true", help="start anew even where a killed run could go on")
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    return parser
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Raises HnfError; returns the exit code."""
+    if arguments.seed < 0:
+        raise UsageError("--seed must be a whole number from 0.")
+    if arguments.out.suffix != ".safetensors":
+        raise UsageError(f"--out {arguments.out.name}: weights are .safetensors files.", remedy="Name it so.")
+    kind, data = _open(arguments.data)
+    recordings = gather(data, arguments.material, arguments.seconds, arguments.seed, arguments.source)
+    trained, record = _train(arguments, kind, data, recordings)
+    from ..export.training_curve import training_curve
+
+    save_field(arguments.out, trained.field)
+    curve = arguments.out.with_suffix(".curve.png")
+    training_curve(curve, f"{record['material']}: {record['training_data']}", trained.history)
+    record.update(weights=str(arguments.out), curve=str(curve))
+    print(json.dumps(record, indent=1) if arguments.json else _in_words(record))
+    return 0
+
+
+def gather(data: DataSet, name: str, seconds: float, seed: int, source: str | None = None) -> list[Recording]:
+    """What to train on: `seconds` of wandering strokes on the material's model, or its recordings.
+
+    Raises UsageError where what was asked for does not exist.
+    """
+    process, recorded = data.process(name), []
+    if process is None or source == "recordings":
+        recorded = data.recordings(name)
+        if not recorded:
+            raise UsageError(
+                f"there are no recordings of {name!r} here.", remedy="Leave --source out to use its model."
+            )
+        return recorded
+    if not STROKE_S <= seconds < 1e5:
+        raise UsageError(f"--seconds {seconds:g}: give at least {STROKE_S:g}.", remedy="480 is plenty.")
+    limits = data.action_range(name)
+    (slowest, fastest), (lightest, hardest) = limits.speed_m_s, limits.force_n
+    actions = [
+        wandering_action(
+            STROKE_S, seed * 100_003 + index,
+            speed_m_s=(SLOWER * slowest, fastest), force_n=(LIGHTER * lightest, hardest),
+            angle_rad=limits.angle_rad,
+        )
+        for index in range(round(seconds / STROKE_S))
+    ]  # fmt: skip
+    return process.record(actions, seed)
+
+
+def _open(words: list[str]) -> tuple[str, DataSet]:
+    if len(words) > 2:
+        raise UsageError(f"--data takes a kind and a folder, not {words}.", remedy="Quote a path with blanks.")
+    return words[0], open_dataset(words[0], Path(words[1]) if len(words) == 2 else None)
+
+
+def _train(
+    arguments: argparse.Namespace, kind: str, data: DataSet, recordings: list[Recording]
+) -> tuple[Trained, dict[str, Any]]:
+    try:
+        from ..training.own_material import Choices, train_own
+    except ImportError as error:
+        raise HnfError(
+            f"training needs torch ({error}).", remedy="Install the extra: pip install 'hnf[train]'."
+        ) from error
+    checkpoint = arguments.out.with_name(f"{arguments.out.name}.checkpoint")
+    if arguments.fresh:
+        checkpoint.unlink(missing_ok=True)
+    bar = ProgressBar()
+    try:
+        return train_own(
+            recordings, kind, LICENCES[kind], arguments.seed,
+            Choices(arguments.hidden, arguments.layers, arguments.states, arguments.accumulation, arguments.epochs),
+            checkpoint, lambda done, total, loss: bar.show(Progress(f"validation loss {loss:.4f}", done, total)),
+        )  # fmt: skip
+    finally:
+        bar.close()
+
+
+def _in_words(record: dict[str, Any]) -> str:
+    test = record["test"]
+    held_out = (
+        "too short to hold a test out"
+        if test is None
+        else (
+            f"held-out spectrum {test['distance_db']:.2f} dB off (a perfect model: {test['scatter_db']:.2f}), "
+            f"power {test['bias_db']:+.2f} dB"
+        )
+    )
+    return f"{record['weights']}: {record['material']}, {record['training_data']}; {held_out}"

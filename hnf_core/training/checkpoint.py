@@ -1,0 +1,53 @@
+"""Training that survives a kill: everything the next epoch depends on, in one safetensors file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..files import write_bytes
+
+FORMAT = "hnf-checkpoint-1"
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """State after `epoch` epochs. tensors: network, optimiser, best weights, random state, by name. history: (epoch, 3)
+    epoch number, training and validation loss."""
+
+    epoch: int
+    tensors: Mapping[str, NDArray[np.generic]]
+    history: NDArray[np.float64]
+
+
+def save_checkpoint(path: Path, checkpoint: Checkpoint, fingerprint: str) -> None:
+    """Atomically; fingerprint names the run that it belongs to. Raises FileError."""
+    from safetensors.numpy import save
+
+    tensors = {name: np.ascontiguousarray(value) for name, value in checkpoint.tensors.items()}
+    tensors["history"] = checkpoint.history
+    metadata = {"format": FORMAT, "fingerprint": fingerprint, "epoch": str(checkpoint.epoch)}
+    write_bytes(path, save(tensors, metadata=metadata))
+
+
+def load_checkpoint(path: Path, fingerprint: str) -> Checkpoint | None:
+    """The checkpoint of this very run, or None: there is none, it is damaged, or it belongs to other data, another
+    architecture or another seed (each is as good as starting anew)."""
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
+    try:
+        data = path.read_bytes()
+        tensors = load(data)
+        metadata = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])["__metadata__"]
+        if metadata["format"] != FORMAT or metadata["fingerprint"] != fingerprint:
+            return None
+        history = tensors.pop("history")
+        return Checkpoint(int(metadata["epoch"]), tensors, history)
+    except (OSError, SafetensorError, ValueError, KeyError, TypeError):
+        return None

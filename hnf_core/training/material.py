@@ -1,0 +1,277 @@
+"""One field for one material, from recordings of it: the expected-power likelihood, Adam, a cosine, early stopping.
+
+P. Whittle (1953): where S is expected and P recorded, Σ log S + P / S is least in expectation at S = E P. L_mag of the
+paper compares two random draws and learns up to 2 dB too quiet a signal; training.losses has it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ..datasets.recording import Recording
+from ..field.field import Field, FieldConfig, initial_parameters
+from ..field.ranges import ranges_of
+from ..files import content_hash
+from ..material.mechanics import UNKNOWN, Mechanics
+from ..material.token import TOKEN_DIM
+from .checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from .fit import COARSE_WEIGHT, DENSITY_FLOOR, TOTAL_WEIGHT
+from .model import FieldNetwork, whittle
+from .recordings import FINE_BINS, bin_widths
+from .rendered_power import RenderedInputs, RenderedPower, rendered_inputs, speed_table
+from .windows import TEST, TRAIN, VALIDATION, Windows, cut
+
+Float = NDArray[np.float64]
+Watcher = Callable[[int, int, float], None]
+"""Called after every epoch with (epoch, epochs, validation loss)."""
+
+UNHEARD = -12.0
+"""Log amplitude of bands above the recordings' rate: nothing is known there, and nothing is played."""
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """batches: of `batch` windows in one epoch, at least (a short recording is gone through several times). patience:
+    epochs without a better validation loss before training stops; the best epoch is kept. smoothness: weight on the
+    squared second difference of log amplitude between neighbouring 10 Hz bands, per window: some ten seconds near one
+    speed and force cannot tell a hundred bands apart."""
+
+    epochs: int = 40
+    batches: int = 32
+    batch: int = 256
+    learning_rate: float = 3e-3
+    decay: float = 1e-2
+    smoothness: float = 3.0
+    patience: int = 15
+
+
+@dataclass(frozen=True)
+class TestFigures:
+    """Over n held-out windows. loss: negative log-likelihood per bin. distance_db: RMS difference between expected and
+    recorded mean spectrum (bins heard in 20–1000 Hz within 30 dB of the peak). bias_db: of the whole power.
+    scatter_db: what distance_db a perfect model would show on Gaussian noise, 4.34 / √n."""
+
+    windows: int
+    loss: float
+    distance_db: float
+    bias_db: float
+    scatter_db: float
+
+
+@dataclass(frozen=True)
+class Trained:
+    """field: the best epoch's. history: (epochs, 3) number, training and validation loss. test: of the tenth that
+    training never saw, None where the recordings are too short to have one."""
+
+    field: Field
+    history: Float
+    test: TestFigures | None
+
+
+def train_material(
+    recordings: Sequence[Recording],
+    config: FieldConfig,
+    seed: int,
+    *,
+    schedule: Schedule = Schedule(),
+    token: NDArray[np.float32] | None = None,
+    mechanics: Mechanics = UNKNOWN,
+    checkpoint: Path | None = None,
+    watch: Watcher | None = None,
+) -> Trained:
+    """Fit F_Θ to recordings of one material with one probe.
+
+    token, mechanics: of the material, where known. checkpoint: file that a killed run is taken up from; it is removed
+    when training ends. Deterministic: equal arguments give equal weights on one machine, killed in between or not.
+    Raises UsageError where the recordings are too short or of several probes.
+    """
+    torch.set_num_threads(1)
+    states, windows = cut(recordings)
+    values = np.zeros(TOKEN_DIM, dtype=np.float32) if token is None else token
+    inputs = rendered_inputs(config, states, windows, values, mechanics)
+    task = _Task(config, schedule, inputs, windows, RenderedPower(config, speed_table(states)))
+    network, history = _run(task, _start(config, windows, seed), seed, checkpoint, _fingerprint(task, seed), watch)
+    ranges = ranges_of(
+        [recording.action for recording in recordings], values[None, :], [mechanics],
+        directed=["direction" in recording.known for recording in recordings],
+    )  # fmt: skip
+    field = Field(config, network.parameters_numpy(), ranges)
+    return Trained(field, history, _test(task, network, windows))
+
+
+class _Task:
+    """What is to be learned: the loss over rows of windows."""
+
+    def __init__(
+        self, config: FieldConfig, schedule: Schedule, inputs: RenderedInputs, windows: Windows, expected: RenderedPower
+    ) -> None:
+        self.config, self.schedule, self.inputs, self.expected = config, schedule, inputs, expected
+        self.power = torch.tensor(windows.power + DENSITY_FLOOR, dtype=torch.float32)
+        self.role = windows.role
+        self.width = torch.tensor(bin_widths() * windows.heard, dtype=torch.float32)
+        self.weight = torch.ones(len(bin_widths()) + 1)
+        self.weight[FINE_BINS:-1] = COARSE_WEIGHT
+        self.weight[-1] = TOTAL_WEIGHT
+        self.weight[:-1] *= torch.tensor(windows.heard, dtype=torch.float32)
+
+    def rows(self, role: int) -> Tensor:
+        return torch.tensor(np.flatnonzero(self.role == role))
+
+    def loss(self, network: FieldNetwork, rows: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean negative log-likelihood of rows, and the α head's outputs."""
+        density, head = self.expected(network, self.inputs, rows)
+        expected, recorded = (
+            torch.cat([each, (each @ self.width)[:, None]], dim=1)
+            for each in (density + DENSITY_FLOOR, self.power[rows])
+        )
+        return whittle(expected, recorded, self.weight).mean() / self.weight.sum(), head
+
+    def loss_of(self, network: FieldNetwork, rows: Tensor) -> float:
+        with torch.no_grad():
+            return float(np.mean([float(self.loss(network, part)[0]) for part in rows.split(1024)]))  # type: ignore[no-untyped-call]
+
+    def roughness(self, head: Tensor) -> Tensor:
+        """Mean squared second difference of log amplitude over the fine time bands."""
+        fine = self.config.carriers.time_slice.start + 1
+        bands = head[..., fine : fine + FINE_BINS - 1]
+        return (bands[..., 2:] - 2.0 * bands[..., 1:-1] + bands[..., :-2]).square().mean()
+
+
+def _test(task: _Task, network: FieldNetwork, windows: Windows) -> TestFigures | None:
+    rows = task.rows(TEST)
+    if len(rows) == 0:
+        return None
+    with torch.no_grad():
+        density = np.concatenate([task.expected(network, task.inputs, part)[0].numpy() for part in rows.split(1024)])  # type: ignore[no-untyped-call]
+    expected, recorded = (
+        each.astype(np.float64).mean(axis=0) + DENSITY_FLOOR for each in (density, windows.power[rows])
+    )
+    fine = np.flatnonzero(windows.heard[:FINE_BINS])[1:]
+    loud = fine[recorded[fine] > 1e-3 * recorded[fine].max()]
+    error = 10.0 * np.log10(expected[loud] / recorded[loud])
+    width = bin_widths() * windows.heard
+    return TestFigures(
+        len(rows), task.loss_of(network, rows), float(np.sqrt(np.mean(np.square(error)))),
+        float(10.0 * np.log10((expected @ width) / (recorded @ width))), 4.34 / math.sqrt(len(rows)),
+    )  # fmt: skip
+
+
+def _start(config: FieldConfig, windows: Windows, seed: int) -> dict[str, NDArray[np.float32]]:
+    """Initial parameters; without physics every band starts at its mean over the training windows."""
+    parameters = initial_parameters(config, seed)
+    if config.physics or config.emission != "log":
+        return parameters
+    mean = windows.power[windows.role == TRAIN].mean(axis=0)
+    centre = np.concatenate([[0.0], np.cumsum(bin_widths())])
+    carriers, bias = config.carriers, parameters["alpha.bias"].copy()
+    edges = carriers.time_edges()
+    density = np.interp(np.sqrt(edges[1:] * edges[:-1]), 0.5 * (centre[1:] + centre[:-1]), mean)
+    heads = config.alpha_heads
+    share = 0.5 if carriers.arc_count else 1.0
+    level = 0.5 * np.log(share * np.maximum(density, DENSITY_FLOOR) * np.diff(edges)) - np.log(heads)
+    heard = windows.heard[np.clip(np.searchsorted(centre, edges[:-1], side="right") - 1, 0, len(windows.heard) - 1)]
+    arc = np.full(config.alpha_outputs - carriers.time_count, 0.0)
+    if carriers.arc_count:
+        arc += 0.5 * np.log(share * np.maximum(np.sum(mean * bin_widths()), DENSITY_FLOOR) / carriers.arc_count)
+    bias[:] = np.tile(np.concatenate([np.where(heard, level, UNHEARD), arc]), heads)
+    parameters["alpha.weight"] = 0.1 * parameters["alpha.weight"]
+    parameters["alpha.bias"] = bias.astype(np.float32)
+    return parameters
+
+
+def _run(
+    task: _Task,
+    start: dict[str, NDArray[np.float32]],
+    seed: int,
+    checkpoint: Path | None,
+    fingerprint: str,
+    watch: Watcher | None,
+) -> tuple[FieldNetwork, Float]:
+    schedule, train, validation = task.schedule, task.rows(TRAIN), task.rows(VALIDATION)
+    network = FieldNetwork(task.config, start)
+    optimiser = torch.optim.AdamW(network.parameters(), lr=schedule.learning_rate, weight_decay=schedule.decay)
+    generator = torch.Generator().manual_seed(seed)
+    passes = max(1, math.ceil(schedule.batches * schedule.batch / len(train)))
+    done = load_checkpoint(checkpoint, fingerprint) if checkpoint else None
+    history = np.zeros((0, 3)) if done is None else done.history
+    best = network.parameters_numpy() if done is None else _restore(done, network, optimiser, generator)
+    for epoch in range(len(history), schedule.epochs):
+        if len(history) - _best_epoch(history) > schedule.patience:
+            break
+        order = torch.cat([train[torch.randperm(len(train), generator=generator)] for _ in range(passes)])
+        parts = order.split(schedule.batch)  # type: ignore[no-untyped-call]
+        total = 0.0
+        for step, rows in enumerate(parts):
+            place = (epoch + step / len(parts)) / schedule.epochs
+            optimiser.param_groups[0]["lr"] = schedule.learning_rate * (0.505 + 0.495 * math.cos(math.pi * place))
+            loss, head = task.loss(network, rows)
+            optimiser.zero_grad()
+            (loss + schedule.smoothness * task.roughness(head)).backward()  # type: ignore[no-untyped-call]
+            optimiser.step()
+            total += float(loss.detach()) * len(rows)
+        row = [epoch + 1.0, total / len(order), task.loss_of(network, validation)]
+        history = np.vstack([history, row])
+        if _best_epoch(history) == len(history):
+            best = network.parameters_numpy()
+        if checkpoint:
+            save_checkpoint(checkpoint, _snapshot(network, optimiser, generator, best, history), fingerprint)
+        if watch:
+            watch(epoch + 1, schedule.epochs, row[2])
+    if checkpoint:
+        checkpoint.unlink(missing_ok=True)
+    return FieldNetwork(task.config, best), history
+
+
+def _best_epoch(history: Float) -> int:
+    return int(np.argmin(history[:, 2])) + 1 if len(history) else 0
+
+
+def _snapshot(
+    network: FieldNetwork,
+    optimiser: torch.optim.Optimizer,
+    generator: torch.Generator,
+    best: dict[str, NDArray[np.float32]],
+    history: Float,
+) -> Checkpoint:
+    tensors: dict[str, NDArray[np.generic]] = {f"best.{name}": value for name, value in best.items()}
+    for name, parameter in network.named_parameters():
+        tensors[f"network.{name}"] = parameter.detach().numpy()
+        for key, value in optimiser.state[parameter].items():
+            tensors[f"optimiser.{name}.{key}"] = value.numpy()
+    tensors["random"] = generator.get_state().numpy()
+    return Checkpoint(len(history), tensors, history)
+
+
+def _restore(
+    checkpoint: Checkpoint, network: FieldNetwork, optimiser: torch.optim.Optimizer, generator: torch.Generator
+) -> dict[str, NDArray[np.float32]]:
+    """Put everything back; returns the best weights so far."""
+    stored = checkpoint.tensors
+    with torch.no_grad():
+        for name, parameter in network.named_parameters():
+            parameter.copy_(torch.tensor(stored[f"network.{name}"]))
+            prefix = f"optimiser.{name}."
+            optimiser.state[parameter] = {
+                key.removeprefix(prefix): torch.tensor(value) for key, value in stored.items() if key.startswith(prefix)
+            }
+    generator.set_state(torch.tensor(stored["random"]))
+    return {
+        name.removeprefix("best."): np.asarray(value, dtype=np.float32)
+        for name, value in stored.items()
+        if name.startswith("best.")
+    }
+
+
+def _fingerprint(task: _Task, seed: int) -> str:
+    """What a checkpoint must agree in: data, architecture, schedule, seed, versions."""
+    words = repr((task.config, task.schedule, seed, torch.__version__, np.__version__))
+    arrays = (task.power, task.inputs.x, task.inputs.at, task.weight)
+    return content_hash(words, *(array.numpy().tobytes() for array in arrays))

@@ -1,0 +1,118 @@
+"""From recordings of one material to a field that names what it is, what it was trained on and how well."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..datasets.recording import Recording
+from ..field.carriers import Carriers
+from ..field.field import Field, FieldConfig
+from ..material.library import find
+from ..material.mechanics import UNKNOWN, Mechanics
+from ..material.token import TOKEN_DIM
+from .material import Schedule, Trained, Watcher, train_material
+from .recordings import FINE_BINS
+
+Float = NDArray[np.float64]
+
+FINE_HZ = 10.0
+ARC_KINDS = ("cluster", "simulated")
+"""Data in which tones glide with the speed. HaTT's models hold none: each is a filter that changes with speed, and arc
+carriers would only be a second way to say the same."""
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What a user may set; None = as the data suggest."""
+
+    hidden: int | None = None
+    layers: int | None = None
+    states: int | None = None
+    accumulation: Literal["past", "heads"] | None = None
+    epochs: int | None = None
+
+
+def fine_carriers(arc_octaves: int = 0) -> Carriers:
+    """Time carriers centred on the bins 10, 20 … 1000 Hz, one bin wide, then seven widening bands to 5 kHz."""
+    fine = (np.arange(1, FINE_BINS + 1) + 0.5) * FINE_HZ
+    edges = np.concatenate([[2.0], fine, fine[-1] * (5000.0 / fine[-1]) ** (np.arange(1, 8) / 7)])
+    return Carriers(time_edges_hz=tuple(float(edge) for edge in edges), arc_octaves=arc_octaves)
+
+
+def config_for(recordings: Sequence[Recording], *, arc: bool, token_known: bool) -> FieldConfig:
+    """The architecture that suits what is known: the linear contact where there is a token, arc carriers where asked
+    for, direction only where it was recorded. N = 1: docs/field.md shows what past states bring."""
+    directed = any("direction" in recording.known for recording in recordings)
+    if token_known:
+        return FieldConfig(states=1, action_octaves=2, directed=directed)
+    return FieldConfig(
+        hidden=128, states=1, carriers=fine_carriers(Carriers().arc_octaves if arc else 0), physics=False,
+        action_octaves=2, directed=directed,
+    )  # fmt: skip
+
+
+def train_own(
+    recordings: Sequence[Recording],
+    kind: str,
+    licence: str,
+    seed: int,
+    choices: Choices,
+    checkpoint: Path | None = None,
+    watch: Watcher | None = None,
+) -> tuple[Trained, dict[str, Any]]:
+    """Train on recordings of one material of a data set of that kind; also a record of it for people and programs.
+
+    The field carries in its metadata what `hnf synth --weights` needs. Raises UsageError, see train_material.
+    """
+    name = recordings[0].material
+    token, mechanics = _described(kind, name)
+    config = config_for(recordings, arc=kind in ARC_KINDS, token_known=token is not None)
+    chosen = {key: value for key, value in dataclasses.asdict(choices).items() if value is not None}
+    epochs = chosen.pop("epochs", Schedule().epochs)
+    trained = train_material(
+        recordings, dataclasses.replace(config, **chosen), seed, schedule=Schedule(epochs=epochs), token=token,
+        mechanics=mechanics, checkpoint=checkpoint, watch=watch,
+    )  # fmt: skip
+    notes = sorted({note for recording in recordings for note in recording.notes})
+    record = {
+        "material": name,
+        "training_data": f"{sum(each.duration_s for each in recordings):.0f} s of {kind} strokes",
+        "seed": seed,
+        "epochs": len(trained.history),
+        "parameters": int(sum(np.prod(shape) for shape in trained.field.config.shapes().values())),
+        "test": None if trained.test is None else dataclasses.asdict(trained.test),
+        "notes": notes,
+    }
+    metadata = {
+        "material": _material_record(name, token, mechanics),
+        "training_data": "; ".join([str(record["training_data"]), *notes]),
+        "seed": str(seed),
+        "metrics": json.dumps(record["test"]),
+        "licence": licence,
+    }
+    return dataclasses.replace(trained, field=_named(trained.field, metadata)), record
+
+
+def _named(field: Field, metadata: Mapping[str, str]) -> Field:
+    return dataclasses.replace(field, metadata=metadata)
+
+
+def _described(kind: str, name: str) -> tuple[NDArray[np.float32] | None, Mechanics]:
+    """Token and mechanics where they are known: of library materials."""
+    if kind != "simulated":
+        return None, UNKNOWN
+    material = find(name)
+    return material.token, material.mechanics
+
+
+def _material_record(name: str, token: NDArray[np.float32] | None, mechanics: Mechanics) -> str:
+    values = [0.0] * TOKEN_DIM if token is None else [float(value) for value in token]
+    return json.dumps({"name": name, "token": values, "mechanics": dataclasses.asdict(mechanics)})

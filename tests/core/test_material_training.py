@@ -1,0 +1,221 @@
+"""Training one material's field from recordings: splits, likelihood, resuming, and that it learns what it should."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+torch = pytest.importorskip("torch", reason="training needs the extra [train]")
+
+from hnf_core.action.smooth import steady_action, wandering_action  # noqa: E402
+from hnf_core.datasets.recording import Recording  # noqa: E402
+from hnf_core.errors import UsageError  # noqa: E402
+from hnf_core.field.carriers import Carriers  # noqa: E402
+from hnf_core.field.expected import expected_spectrum  # noqa: E402
+from hnf_core.field.field import Field, FieldConfig, initial_parameters  # noqa: E402
+from hnf_core.field.stroke import uniform_stroke  # noqa: E402
+from hnf_core.field.synthesis import synthesise  # noqa: E402
+from hnf_core.material.mechanics import UNKNOWN  # noqa: E402
+from hnf_core.material.token import TOKEN_DIM  # noqa: E402
+from hnf_core.metrics.spectra import WINDOW  # noqa: E402
+from hnf_core.training.checkpoint import load_checkpoint  # noqa: E402
+from hnf_core.training.material import Schedule, train_material  # noqa: E402
+from hnf_core.training.model import FieldNetwork  # noqa: E402
+from hnf_core.training.own_material import Choices, fine_carriers, train_own  # noqa: E402
+from hnf_core.training.rendered_power import RenderedPower, rendered_inputs, speed_table  # noqa: E402
+from hnf_core.training.windows import HOP, ROLES, TRAIN, cut, runs  # noqa: E402
+
+RATE = 10_000.0
+NO_TOKEN = np.zeros(TOKEN_DIM, dtype=np.float32)
+SMALL = FieldConfig(hidden=32, layers=2, states=1, carriers=fine_carriers(), physics=False, action_octaves=1)
+SHORT = Schedule(epochs=4, batches=4, batch=64)
+
+
+def noise_recording(action, seed: int, slope: float = 1.0) -> Recording:
+    """White noise through one real pole, as loud as the action is fast: a process whose spectrum is known."""
+    count = round(action.duration_s * RATE)
+    rng = np.random.default_rng(seed)
+    white, out, last = rng.standard_normal(count), np.zeros(count), 0.0
+    for index in range(count):
+        last = 0.8 * last + white[index]
+        out[index] = last
+    speed = np.interp(np.arange(count) / RATE, action.time, action.speed)
+    return Recording(action, out * (speed / 0.1) ** slope, RATE, "noise", f"noise {seed}", frozenset({"speed"}))
+
+
+def noise_density(frequency, speed: float, slope: float = 1.0):
+    return 2.0 / RATE / np.abs(1.0 - 0.8 * np.exp(-2j * np.pi * frequency / RATE)) ** 2 * (speed / 0.1) ** (2 * slope)
+
+
+def wander(seconds: float, seed: int):
+    return wandering_action(seconds, seed, speed_m_s=(0.03, 0.2), force_n=(0.3, 3.0))
+
+
+@pytest.fixture(scope="module")
+def minute() -> list[Recording]:
+    return [noise_recording(wander(5.0, seed), seed) for seed in range(12)]
+
+
+@given(st.integers(0, 1000), st.integers(0, 60))
+def test_split_is_8_1_1_of_every_ten_windows_and_covers_all(first: int, count: int) -> None:
+    stretches = runs(first, count)
+    covered = [(slot, role) for role, low, high in stretches for slot in range(low, high)]
+    assert [slot for slot, _ in covered] == list(range(count))
+    assert all(role == ROLES[(first + slot) % 10] for slot, role in covered)
+
+
+def test_no_window_crosses_a_border(minute: list[Recording]) -> None:
+    _, windows = cut(minute[:2])
+    states_per_slot = WINDOW // 50
+    assert windows.node.shape[1] == 1
+    for role, node in zip(windows.role, windows.node[:, 0], strict=True):
+        start = node - states_per_slot // 2  # the middle state stands for the window
+        local = start - windows.first[node]
+        low, high = local // states_per_slot, -(-(local + states_per_slot) // states_per_slot)
+        offset = 0 if windows.first[node] == 0 else 50
+        assert {ROLES[(offset + slot) % 10] for slot in range(low, high)} == {role}
+    # 8 slots hold 15 half-overlapping windows, the others one each
+    assert np.bincount(windows.role).tolist() == [150, 10, 10]
+    assert HOP * 2 == WINDOW
+
+
+def test_short_recordings_are_counted_on_and_too_short_ones_refused(minute: list[Recording]) -> None:
+    pieces = [noise_recording(steady_action(0.3, 0.1, 1.0), seed) for seed in range(10)]
+    assert set(cut(pieces)[1].role) == {0, 1, 2}
+    with pytest.raises(UsageError, match="leave nothing to validate on"):
+        cut(pieces[:1])
+    finger = dataclasses.replace(minute[0], action=dataclasses.replace(minute[0].action, probe="finger"))
+    with pytest.raises(UsageError, match="2 probes"):
+        cut([minute[0], finger])
+
+
+def test_bands_above_a_low_rate_are_not_heard_and_not_played() -> None:
+    action = wander(10.0, 0)
+    samples = np.random.default_rng(0).standard_normal(round(action.duration_s * 1000))
+    slow = Recording(action, samples, 1000.0, "slow", "slow")
+    _, windows = cut([slow])
+    assert windows.heard[:44].all() and not windows.heard[46:].any()
+    field = train_material([slow], SMALL, 0, schedule=SHORT).field
+    high = expected_spectrum(field, NO_TOKEN, UNKNOWN, "pen", (1.0, 0.0), 0.1, 1.0, np.linspace(600.0, 4900.0, 200))
+    low = expected_spectrum(field, NO_TOKEN, UNKNOWN, "pen", (1.0, 0.0), 0.1, 1.0, np.linspace(50.0, 400.0, 200))
+    assert high.max() < 1e-4 * low.mean()
+
+
+def test_a_turning_hand_is_looked_at_more_than_once_in_a_window(minute: list[Recording]) -> None:
+    told = [dataclasses.replace(each, known=frozenset({"speed", "direction"})) for each in minute[:2]]
+    windows = cut(told)[1]
+    assert windows.node.shape[1] == 5
+    assert windows.share.sum() == pytest.approx(1.0)
+    assert np.all(np.abs(windows.node - windows.node[:, 2:3]) <= 8)
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        dataclasses.replace(SMALL, states=3, accumulation="past"),
+        dataclasses.replace(SMALL, states=3, accumulation="heads", spacing_s=0.0),
+        dataclasses.replace(SMALL, carriers=Carriers(arc_octaves=2, arc_start_per_m=800.0), arc_knots=5),
+    ],
+    ids=["past", "heads", "arc"],
+)
+def test_expected_power_is_what_synthesis_gives(config: FieldConfig) -> None:
+    parameters = initial_parameters(config, 3)
+    field = Field(config, parameters)
+    action = wandering_action(30.0, 1, speed_m_s=(0.05, 0.15), force_n=(0.5, 2.0), bandwidth_hz=0.3)
+    signal = synthesise(field, uniform_stroke(action, NO_TOKEN, UNKNOWN), seed=1).signal
+    states, windows = cut([Recording(action, signal.samples.astype(np.float64), RATE, "own", "own")])
+    inputs = rendered_inputs(config, states, windows, NO_TOKEN, UNKNOWN)
+    expected, _ = RenderedPower(config, speed_table(states))(
+        FieldNetwork(config, parameters), inputs, torch.arange(len(windows.role))
+    )
+    level = 10.0 * np.log10(expected.detach().numpy().mean(axis=0) / windows.power.mean(axis=0))
+    # 500 windows: a fine bin scatters by 4.34 / sqrt(500) = 0.2 dB, more where tones pass
+    assert np.sqrt(np.mean(level[3:100] ** 2)) < 0.6
+    assert abs(np.mean(level[3:100])) < 0.15
+
+
+def test_learns_a_known_process(minute: list[Recording]) -> None:
+    field = train_material(minute, SMALL, 0, schedule=Schedule(epochs=25, batches=8)).field
+    frequency = np.arange(20.0, 1000.0, 10.0)
+    for speed in (0.05, 0.1, 0.15):
+        found = expected_spectrum(field, NO_TOKEN, UNKNOWN, "pen", (0.0, 1.0), speed, 1.0, frequency)
+        error = 10.0 * np.log10(found / noise_density(frequency, speed))
+        assert np.sqrt(np.mean(error**2)) < 0.8
+        assert abs(error.mean()) < 0.5
+
+
+def test_a_field_that_never_heard_of_direction_ignores_it(minute: list[Recording]) -> None:
+    trained, record = train_own(minute[:2], "hatt", "none", 0, Choices(hidden=16, layers=1, epochs=1))
+    assert not trained.field.config.directed
+    frequency = np.arange(20.0, 1000.0, 10.0)
+    across, along = (
+        expected_spectrum(trained.field, NO_TOKEN, UNKNOWN, "pen", d, 0.1, 1.0, frequency)
+        for d in ((1.0, 0.0), (0.0, -1.0))
+    )
+    np.testing.assert_array_equal(across, along)
+    assert record["material"] == "noise" and record["test"]["windows"] == 10
+
+
+def test_same_seed_same_weights_other_seed_others(minute: list[Recording]) -> None:
+    first, again, other = (train_material(minute[:2], SMALL, seed, schedule=SHORT) for seed in (0, 0, 1))
+    for name, value in first.field.parameters.items():
+        np.testing.assert_array_equal(value, again.field.parameters[name])
+    assert any(not np.array_equal(first.field.parameters[n], other.field.parameters[n]) for n in first.field.parameters)
+
+
+class Killed(Exception):
+    pass
+
+
+def test_a_killed_run_goes_on_to_the_same_bytes(minute: list[Recording], tmp_path) -> None:
+    path = tmp_path / "run.checkpoint"
+
+    def kill(epoch: int, epochs: int, loss: float) -> None:
+        if epoch == 2:
+            raise Killed
+
+    with pytest.raises(Killed):
+        train_material(minute[:2], SMALL, 0, schedule=SHORT, checkpoint=path, watch=kill)
+    assert path.exists()
+    seen: list[int] = []
+    resumed = train_material(
+        minute[:2], SMALL, 0, schedule=SHORT, checkpoint=path, watch=lambda epoch, epochs, loss: seen.append(epoch)
+    )
+    whole = train_material(minute[:2], SMALL, 0, schedule=SHORT)
+    assert seen == [3, 4] and not path.exists()
+    np.testing.assert_array_equal(resumed.history, whole.history)
+    for name, value in whole.field.parameters.items():
+        np.testing.assert_array_equal(value, resumed.field.parameters[name])
+
+
+def test_a_checkpoint_of_another_run_or_a_damaged_one_is_not_taken_up(minute: list[Recording], tmp_path) -> None:
+    path = tmp_path / "run.checkpoint"
+
+    def kill(epoch: int, epochs: int, loss: float) -> None:
+        raise Killed
+
+    with pytest.raises(Killed):
+        train_material(minute[:2], SMALL, 0, schedule=SHORT, checkpoint=path, watch=kill)
+    seen: list[int] = []
+    train_material(
+        minute[:2], SMALL, 1, schedule=SHORT, checkpoint=path, watch=lambda epoch, epochs, loss: seen.append(epoch)
+    )
+    assert seen[0] == 1
+    for junk in (b"", b"\x00" * 8, b"not a checkpoint"):
+        path.write_bytes(junk)
+        assert load_checkpoint(path, "any") is None
+    assert load_checkpoint(tmp_path / "none", "any") is None
+
+
+def test_early_stopping_keeps_the_best_epoch(minute: list[Recording]) -> None:
+    schedule = Schedule(epochs=60, batches=8, batch=64, learning_rate=0.02, smoothness=0.0, decay=0.0, patience=3)
+    trained = train_material(minute[:1], SMALL, 0, schedule=schedule)
+    best = int(np.argmin(trained.history[:, 2]))
+    assert len(trained.history) == best + 1 + 4 < 60
+    states, windows = cut(minute[:1])
+    assert np.isfinite(trained.test.loss) and np.sum(windows.role == TRAIN) == 75
+    assert len(states.speed) == len(minute[0].action.speed)
