@@ -71,6 +71,7 @@ def deliver(folder: Path, job: Job, baked: BakedStroke, felt: Felt, view: Stroke
         fresh=False,
         key=job.key,
         wav_hash=content_hash(data),
+        warnings=felt.warnings,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,8 @@ REPORT_NAME = "report.json"
 
 @dataclass(frozen=True)
 class StrokeReport:
-    """One delivered stroke. routes: band wavelength → route. key: hash of everything the signal follows from."""
+    """One delivered stroke. routes: band wavelength → route. key: hash of everything the signal follows from.
+    warnings: what lowered the confidence of the synthesis; a fresh stroke keeps its own."""
 
     name: str
     object: str
@@ -37,6 +38,7 @@ class StrokeReport:
     fresh: bool
     key: str
     wav_hash: str
+    warnings: Sequence[str] = ()
 
 
 @dataclass(frozen=True)

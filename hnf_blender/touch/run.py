@@ -68,6 +68,9 @@ def touch_steps(
     baked_path = folder / baked_name(session)
     report.baked_blend = baked_path.name
     report.strokes = [replace(fresh[job.key], name=job.name, fresh=True) for job in found.jobs if job.key in fresh]
+    for stroke in report.strokes:
+        for warning in stroke.warnings:
+            report.warn(f"stroke '{stroke.name}': {warning}")
     if found.jobs and len(fresh) == len(found.jobs) and baked_path.is_file():
         return
     baked: list[BakedStroke] = []

@@ -48,9 +48,9 @@ _ANGLES: dict[Way, int] = {
 }  # fmt: skip
 _ENDS = {-1: ("right", "left"), 1: ("left", "right")}, {-1: ("top", "bottom"), 1: ("bottom", "top")}
 
-FORCE_LIMITS_N = (0.01, 100.0)
+FORCE_LIMITS_N = (0.01, 20.0)
 SPEED_LIMITS_M_S = (1e-3, 1.0)
-"""Beyond these the words are a slip of the pen: refused, not clamped."""
+"""Beyond these, which a stroke object holds and a hand can do, words are a slip of the pen: refused, not clamped."""
 
 _NUMBER = r"(?<![\w.])(?<![0-9],)(?P<sign>(?<!\S)[-−+])?(?P<number>[0-9]+(?:\.[0-9]+)?|\.[0-9]+)\s*-?\s*"
 _QUANTITY = re.compile(

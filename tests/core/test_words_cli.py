@@ -45,17 +45,17 @@ def test_force_and_speed_are_those_said(tmp_path, capsys):
 
 def test_out_of_range_is_said_in_json_and_on_stderr(tmp_path, capsys):
     out = tmp_path / "x.wav"
-    words = ["--material", MATERIAL, "--stroke", "scrape right to left, 40 N, 0.9 m/s", "--out", str(out), "--json"]
+    words = ["--material", MATERIAL, "--stroke", "scrape right to left, 20 N, 0.9 m/s", "--out", str(out), "--json"]
     assert main(["synth", *words], no_blender) == 0
     told = capsys.readouterr()
     record = json.loads(told.out)
     ranges = load_field().ranges
     top_speed, top_force = ranges.speed[1], ranges.force[1]
-    assert record["confidence"] <= 1.0 / (1.0 + np.log2(0.89 / top_speed)) / (1.0 + np.log2(39.0 / top_force))
+    assert record["confidence"] <= 1.0 / (1.0 + np.log2(0.89 / top_speed)) / (1.0 + np.log2(19.5 / top_force))
     speed, force = (next(text for text in record["warnings"] if text.startswith(word)) for word in ("Speed", "Force"))
     assert float(speed.split()[2]) == pytest.approx(900.0, rel=0.01)
     assert f"mm/s, trained on {ranges.speed[0] * 1e3:.3g}–{top_speed * 1e3:.3g} mm/s" in speed
-    assert "40 N, trained on" in force
+    assert "20 N, trained on" in force
     for text in record["warnings"]:
         assert text in told.err
 
