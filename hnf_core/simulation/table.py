@@ -1,4 +1,5 @@
-"""The material library's one table of physical constants. tools/build_library.py turns it into library.json.
+"""The one table of physical constants: of the material library (tools/build_library.py turns it into library.json) and
+of the classes of surfaces that the simulator draws instances from (classes.py).
 
 Frame: x runs along the grain (wood, brushed metal); ribs and grooves (corduroy, ribbed plastic) run along y, so that a
 stroke along x crosses them. Stiffness, damping and friction describe the contact under the pen at 1 N, the backing
@@ -12,10 +13,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hnf_core.material.material import Appearance
-from hnf_core.material.mechanics import Mechanics
-from hnf_core.simulation.recipes import grating, knurl, plain_weave, twill
-from hnf_core.simulation.surface import Grains, Lattice, Noise, SurfaceRecipe
+import numpy as np
+
+from ..material.material import Appearance
+from ..material.mechanics import Mechanics
+from .recipes import grating, knurl, plain_weave, twill
+from .surface import Grains, Lattice, Noise, SurfaceRecipe
 
 MM = 1e-3
 
@@ -23,7 +26,7 @@ MM = 1e-3
 @dataclass(frozen=True)
 class Entry:
     """One row. roughness_um: RMS height in µm. hatt: the recorded category it is held against, "" where there is
-    none."""
+    none. scatter: of its instances over that of other classes (classes.Scatter)."""
 
     name: str
     category: str
@@ -33,6 +36,7 @@ class Entry:
     roughness_um: float
     parts: SurfaceRecipe
     appearance: Appearance
+    scatter: float = 1.0
 
 
 def noise(
@@ -64,27 +68,33 @@ def looks(
     return Appearance(color, roughness, metallic, sheen, transmission)
 
 
+def recipe_of(entry: Entry) -> SurfaceRecipe:
+    """The entry's parts with their weights turned into RMS heights in metres."""
+    parts: tuple[Noise | Lattice | Grains, ...] = (*entry.parts.noise, *entry.parts.lattices, *entry.parts.grains)
+    return entry.parts.scaled(entry.roughness_um * 1e-6 / float(np.sqrt(sum(part.rms_m**2 for part in parts))))
+
+
 TABLE: tuple[Entry, ...] = (
     # --- wood
     Entry("oak-wood", "wood", "Wood", "wood oak timber plank board parquet wooden",
-          Mechanics(1.3e5, 0.22, 0.28), 0.62,
-          surface(noise(2.0, 3.0, stretch=6.0), grains(0.25, 0.12, sign=-1, weight=0.7, stretch=8.0)),
+          Mechanics(1.1e5, 0.22, 0.28), 0.72,
+          surface(noise(2.05, 3.0, stretch=6.0), grains(0.25, 0.12, sign=-1, weight=0.7, stretch=8.0)),
           looks((0.42, 0.26, 0.13), 0.6)),
     Entry("pine-wood", "wood", "Wood", "wood pine spruce fir lumber plank board crate wooden",
-          Mechanics(0.9e5, 0.26, 0.3), 0.74,
+          Mechanics(0.75e5, 0.26, 0.3), 0.95,
           surface(noise(2.0, 4.0, stretch=8.0), noise(1.6, 1.0, weight=0.4)),
           looks((0.6, 0.42, 0.22), 0.65)),
     Entry("varnished-wood", "wood", "Wood",
           "wood varnished lacquered polished walnut mahogany cherry furniture piano wooden",
-          Mechanics(1.6e5, 0.18, 0.22), 0.53,
+          Mechanics(1.3e5, 0.18, 0.22), 0.76,
           surface(noise(2.1, 4.0, stretch=3.0, cutoff_mm=0.15), grains(0.3, 0.05, sign=-1, weight=0.3, stretch=5.0)),
           looks((0.16, 0.07, 0.03), 0.3)),
     Entry("rough-sawn-wood", "wood", "Wood", "wood sawn rough raw bark log beam pallet fence trunk wooden",
-          Mechanics(0.8e5, 0.28, 0.36), 1.5,
+          Mechanics(0.75e5, 0.28, 0.36), 1.15,
           surface(noise(1.9, 3.0, stretch=4.0), grains(0.4, 0.3, weight=0.4, stretch=6.0)),
           looks((0.33, 0.22, 0.13), 0.9)),
     Entry("cork", "wood", "Wood", "cork corkboard",
-          Mechanics(0.5e5, 0.34, 0.45), 1.2,
+          Mechanics(0.5e5, 0.34, 0.45), 1.05,
           surface(noise(1.9, 1.5), grains(0.8, 0.3, sign=-1, weight=0.8)),
           looks((0.5, 0.32, 0.18), 0.85)),
     # --- metal
@@ -98,12 +108,12 @@ TABLE: tuple[Entry, ...] = (
           surface(noise(1.6, 1.0, stretch=12.0), noise(1.8, 3.0, weight=0.35)),
           looks((0.6, 0.6, 0.6), 0.4, metallic=1.0)),
     Entry("cast-metal", "metal", "Metal", "metal iron cast rough blasted sandblasted anvil hammered",
-          Mechanics(5.0e5, 0.18, 0.3), 0.66,
-          surface(noise(1.8, 1.5), grains(0.35, 0.4, weight=0.6)),
+          Mechanics(5.0e5, 0.18, 0.3), 0.5,
+          surface(noise(1.6, 1.5), grains(0.35, 0.4, weight=0.3)),
           looks((0.3, 0.3, 0.31), 0.65, metallic=1.0)),
     Entry("rusty-metal", "metal", "Metal", "metal iron rust rusty corroded oxidized weathered scrap",
-          Mechanics(3.5e5, 0.22, 0.4), 1.2,
-          surface(noise(1.8, 2.0), grains(0.5, 0.35, sign=-1, weight=0.6), grains(0.3, 0.2, weight=0.5)),
+          Mechanics(3.5e5, 0.22, 0.4), 0.95,
+          surface(noise(1.65, 2.0), grains(0.5, 0.35, sign=-1, weight=0.35), grains(0.3, 0.2, weight=0.3)),
           looks((0.27, 0.11, 0.05), 0.85, metallic=0.4)),
     Entry("brass", "metal", "Metal", "metal brass bronze copper gold golden coin bell trumpet",
           Mechanics(4.5e5, 0.14, 0.24), 0.2,
@@ -115,32 +125,32 @@ TABLE: tuple[Entry, ...] = (
           looks((0.5, 0.5, 0.5), 0.4, metallic=1.0)),
     # --- stone
     Entry("granite", "stone", "Stone", "stone granite rock gneiss boulder countertop",
-          Mechanics(9.0e5, 0.14, 0.4), 0.8,
-          surface(noise(1.9, 1.5), grains(0.6, 0.3, sign=-1, weight=0.5)),
+          Mechanics(9.0e5, 0.19, 0.4), 0.9,
+          surface(noise(1.75, 1.5), grains(0.6, 0.3, sign=-1, weight=0.5)),
           looks((0.35, 0.33, 0.32), 0.6)),
     Entry("marble", "stone", "Stone", "stone marble travertine limestone statue sculpture onyx",
-          Mechanics(8.0e5, 0.14, 0.3), 0.26,
-          surface(noise(1.8, 2.0)),
+          Mechanics(8.0e5, 0.17, 0.3), 0.34,
+          surface(noise(1.7, 2.0)),
           looks((0.8, 0.78, 0.75), 0.25)),
     Entry("slate", "stone", "Stone", "stone slate shale schist roof flagstone",
-          Mechanics(8.0e5, 0.16, 0.42), 0.87,
-          surface(noise(1.9, 3.0, stretch=1.8)),
+          Mechanics(8.0e5, 0.22, 0.42), 1.0,
+          surface(noise(1.75, 3.0, stretch=1.8)),
           looks((0.1, 0.11, 0.12), 0.7)),
     Entry("sandstone", "stone", "Stone", "stone sandstone sand brick masonry ruin desert",
-          Mechanics(7.0e5, 0.18, 0.55), 1.5,
-          surface(noise(1.8, 1.0), grains(0.3, 0.6, weight=0.9)),
+          Mechanics(7.0e5, 0.22, 0.55), 1.3,
+          surface(noise(1.6, 1.0), grains(0.3, 0.6, weight=0.6)),
           looks((0.55, 0.4, 0.26), 0.95)),
     Entry("concrete", "stone", "Stone", "stone concrete cement plaster stucco pavement asphalt road sidewalk",
-          Mechanics(7.5e5, 0.18, 0.5), 1.4,
+          Mechanics(7.5e5, 0.22, 0.5), 1.4,
           surface(noise(1.8, 2.0), grains(0.7, 0.15, sign=-1, weight=0.7)),
           looks((0.4, 0.39, 0.37), 0.9)),
     # --- fabric
     Entry("cotton-canvas", "fabric", "Fabric", "fabric cloth canvas cotton textile tent sail bag linen burlap sack",
-          Mechanics(4.0e4, 0.3, 0.4), 0.82,
+          Mechanics(6.0e4, 0.3, 0.4), 0.45,
           surface(plain_weave(1.0, 0.4 * MM, irregularity=0.1), noise(1.7, 1.0, weight=0.7)),
           looks((0.6, 0.55, 0.45), 0.95, sheen=0.3)),
     Entry("denim", "fabric", "Fabric", "fabric cloth denim jeans twill cotton trousers jacket workwear",
-          Mechanics(4.5e4, 0.3, 0.38), 1.0,
+          Mechanics(6.0e4, 0.3, 0.38), 0.55,
           surface(twill(1.0, 0.33 * MM, irregularity=0.1), noise(1.7, 1.0, weight=0.7)),
           looks((0.06, 0.1, 0.22), 0.95, sheen=0.2)),
     Entry("corduroy", "fabric", "Fabric", "fabric cloth corduroy cord ribbed wale trousers",
@@ -148,83 +158,83 @@ TABLE: tuple[Entry, ...] = (
           surface(grating(1.0, 1.4 * MM, harmonic=0.35, irregularity=0.05), noise(1.6, 0.8, weight=0.6, stretch=1.5)),
           looks((0.3, 0.18, 0.09), 0.95, sheen=0.6)),
     Entry("velvet", "fabric", "Fabric", "fabric cloth velvet velour plush upholstery curtain sofa",
-          Mechanics(1.5e4, 0.45, 0.45), 1.2,
+          Mechanics(3.0e4, 0.4, 0.45), 0.95,
           surface(noise(2.4, 1.5), noise(2.4, 4.0, weight=0.5, stretch=2.0)),
           looks((0.25, 0.05, 0.08), 0.9, sheen=1.0)),
     Entry("silk", "fabric", "Fabric", "fabric cloth silk satin ribbon scarf tie lining",
-          Mechanics(5.0e4, 0.28, 0.24), 0.24,
-          surface(plain_weave(1.0, 0.25 * MM, irregularity=0.06), noise(2.2, 3.0, weight=1.4, stretch=2.0)),
+          Mechanics(7.0e4, 0.25, 0.24), 0.38,
+          surface(plain_weave(1.0, 0.25 * MM, irregularity=0.06), noise(2.5, 4.0, weight=1.6, stretch=2.0)),
           looks((0.6, 0.5, 0.45), 0.35, sheen=0.5)),
     Entry("wool-knit", "fabric", "Fabric", "fabric cloth wool knit knitted sweater sock yarn jersey scarf",
-          Mechanics(1.2e4, 0.45, 0.5), 2.5,
+          Mechanics(1.8e4, 0.4, 0.5), 1.6,
           surface(plain_weave(1.0, 1.25 * MM, weft_m=0.9 * MM, irregularity=0.12), noise(2.0, 2.0, weight=0.9)),
           looks((0.45, 0.38, 0.3), 1.0, sheen=0.5)),
     Entry("felt", "fabric", "Fabric", "fabric felt fleece hat billiard baize flannel",
-          Mechanics(2.0e4, 0.42, 0.45), 0.87,
+          Mechanics(3.5e4, 0.38, 0.45), 0.75,
           surface(noise(2.2, 2.0)),
           looks((0.1, 0.25, 0.12), 1.0, sheen=0.6)),
     Entry("nylon-webbing", "fabric", "Fabric",
           "fabric nylon polyester webbing strap belt harness rope backpack synthetic parachute",
-          Mechanics(5.0e4, 0.28, 0.32), 1.3,
+          Mechanics(7.0e4, 0.28, 0.32), 0.65,
           surface(plain_weave(1.0, 0.5 * MM, weft_m=0.75 * MM, irregularity=0.05), noise(1.7, 1.0, weight=0.7)),
           looks((0.05, 0.05, 0.05), 0.7, sheen=0.2)),
     # --- paper
     Entry("copy-paper", "paper", "Paper", "paper sheet page book label poster document",
-          Mechanics(1.1e5, 0.25, 0.28), 0.28,
-          surface(noise(1.8, 1.5)),
+          Mechanics(0.7e5, 0.25, 0.28), 0.55,
+          surface(noise(1.9, 1.5)),
           looks((0.85, 0.85, 0.83), 0.8)),
     Entry("cardboard", "paper", "Paper", "cardboard carton box corrugated paperboard package parcel",
-          Mechanics(6.0e4, 0.3, 0.32), 0.78,
-          surface(grating(0.8, 4.0 * MM, harmonic=0.2, irregularity=0.03), noise(1.8, 1.5)),
+          Mechanics(5.5e4, 0.3, 0.32), 0.9,
+          surface(grating(0.8, 4.0 * MM, harmonic=0.2, irregularity=0.03), noise(1.9, 1.5)),
           looks((0.45, 0.3, 0.17), 0.85)),
     Entry("sandpaper", "paper", "Paper", "sandpaper abrasive emery grit grinding",
-          Mechanics(2.0e5, 0.2, 0.65), 1.8,
+          Mechanics(1.6e5, 0.2, 0.65), 1.8,
           surface(grains(0.35, 0.8), noise(1.6, 0.8, weight=0.7)),
           looks((0.25, 0.12, 0.06), 1.0)),
     # --- plastic
     Entry("smooth-plastic", "plastic", "Plastic", "plastic abs smooth acrylic pvc polymer vinyl lego bottle",
-          Mechanics(1.0e5, 0.2, 0.25), 0.36,
-          surface(noise(2.0, 4.0)),
+          Mechanics(0.6e5, 0.2, 0.25), 1.7,
+          surface(noise(2.4, 4.0)),
           looks((0.6, 0.6, 0.6), 0.35)),
     Entry("textured-plastic", "plastic", "Plastic",
           "plastic textured matte grained dashboard housing keyboard controller",
-          Mechanics(1.0e5, 0.22, 0.3), 0.64,
-          surface(noise(1.9, 1.0), grains(0.5, 0.5, weight=0.8)),
+          Mechanics(0.6e5, 0.22, 0.3), 0.75,
+          surface(noise(2.3, 1.0), grains(0.5, 0.5, weight=0.8)),
           looks((0.05, 0.05, 0.05), 0.6)),
     Entry("ribbed-plastic", "plastic", "Plastic", "plastic ribbed grating grooved ridged grooves comb vinyl",
-          Mechanics(8.0e4, 0.35, 0.28), 1.4,
+          Mechanics(8.0e4, 0.35, 0.28), 1.15,
           surface(grating(1.0, 0.5 * MM, harmonic=0.3), noise(1.7, 1.0, weight=0.5)),
           looks((0.1, 0.1, 0.1), 0.4)),
     Entry("carbon-fibre", "plastic", "Carbon fibre", "carbon fibre fiber composite cfrp kevlar fibreglass fiberglass",
-          Mechanics(1.5e5, 0.2, 0.21), 1.3,
-          surface(twill(1.0, 0.5 * MM, repeat=4, irregularity=0.03), noise(2.2, 2.5, weight=0.9)),
-          looks((0.02, 0.02, 0.02), 0.3)),
+          Mechanics(1.75e5, 0.2, 0.21), 1.35,
+          surface(twill(1.0, 0.5 * MM, repeat=4, irregularity=0.03), noise(2.2, 2.5, weight=0.7)),
+          looks((0.02, 0.02, 0.02), 0.3), scatter=0.3),
     # --- foam
     Entry("soft-foam", "foam", "Foam", "foam sponge cushion padding pillow mattress soft",
-          Mechanics(1.0e4, 0.35, 0.8), 3.6,
+          Mechanics(1.4e4, 0.35, 0.8), 2.6,
           surface(noise(1.8, 2.0), grains(0.8, 0.5, sign=-1, weight=0.8)),
           looks((0.75, 0.7, 0.5), 1.0)),
     Entry("eva-foam", "foam", "Foam", "foam eva yoga insole neoprene styrofoam polystyrene",
-          Mechanics(2.0e4, 0.35, 0.7), 1.4,
+          Mechanics(2.0e4, 0.35, 0.7), 1.95,
           surface(noise(1.8, 1.5)),
           looks((0.15, 0.15, 0.3), 0.9)),
     # --- carpet
     Entry("loop-carpet", "carpet", "Carpet", "carpet loop rug doormat berber sisal",
-          Mechanics(5.0e3, 0.3, 1.0), 25.0,
+          Mechanics(3.2e3, 0.3, 1.0), 27.0,
           surface(plain_weave(0.8, 2.2 * MM, irregularity=0.1), noise(2.2, 4.0), grains(0.8, 0.5, weight=0.5)),
           looks((0.3, 0.27, 0.23), 1.0, sheen=0.3)),
     Entry("cut-pile-carpet", "carpet", "Carpet", "carpet pile rug shag turf grass moss fur plush",
-          Mechanics(3.0e3, 0.35, 1.05), 21.0,
+          Mechanics(3.0e3, 0.35, 1.05), 23.0,
           surface(noise(2.4, 4.0), grains(1.2, 0.5, weight=0.6)),
           looks((0.35, 0.1, 0.08), 1.0, sheen=0.6)),
     # --- tile
     Entry("glazed-tile", "tile", "Tile", "tile ceramic glazed porcelain bathroom kitchen cup mug plate vase pottery",
-          Mechanics(6.0e4, 0.24, 0.25), 1.3,
-          surface(noise(2.2, 3.0, cutoff_mm=0.2)),
+          Mechanics(4.2e4, 0.22, 0.25), 4.6,
+          surface(noise(2.5, 5.0, cutoff_mm=0.2)),
           looks((0.8, 0.8, 0.78), 0.12)),
     Entry("terracotta", "tile", "Tile", "tile terracotta clay unglazed pot earthenware roof ceramic brick",
-          Mechanics(4.0e4, 0.24, 0.4), 2.9,
-          surface(noise(2.3, 3.0), grains(0.5, 0.15, sign=-1, weight=0.5)),
+          Mechanics(3.5e4, 0.24, 0.4), 3.1,
+          surface(noise(2.4, 3.0), grains(0.5, 0.15, sign=-1, weight=0.5)),
           looks((0.5, 0.19, 0.1), 0.85)),
     # --- leather
     Entry("leather", "leather", "", "leather hide strap saddle belt boot shoe jacket glove wallet bag skin",

@@ -1,0 +1,140 @@
+"""Friction of the simulated contact: LuGre, with plain Coulomb beside it for comparison.
+
+LuGre (C. Canudas de Wit, H. Olsson, K. J. Åström & P. Lischinsky 1995, "A new model for control of systems with
+friction", IEEE Trans. Autom. Control 40): bristles that bend elastically and slip at the Stribeck curve,
+dw/dt = σ0 (v − |v| w / g(v)), force per load f = w + (σ1/σ0) dw/dt, g = μ (1 + (s − 1) exp(−(v/v_s)²)), where w = σ0 z
+is the bristles' share of the load. Scaled by the load N and in two dimensions as in tyres (C. Canudas de Wit et al.
+2003, Vehicle System Dynamics 39; E. Velenis, P. Tsiotras & C. Canudas de Wit 2005, ibid. 43). Bristles let go where
+contact is lost. Viscous σ2 is left out: the contacts are dry.
+
+No constant is fitted here: bristles are the contact's own tangential stiffness and damping.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..material.contact import contact_stiffness, surface_stiffness_at_1n, with_defaults
+from ..material.mechanics import Mechanics, Probe
+
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+STATIC_OVER_KINETIC = 1.5
+"""F_S / F_C of Canudas de Wit et al. 1995, table I (1.5 N over 1 N)."""
+STRIBECK_SPEED_M_S = 1e-3
+"""v_s, ibid. A stroke at 100 mm/s is a hundred times faster: it meets the kinetic μ of the material table."""
+TANGENTIAL_OVER_NORMAL = 2.0 * (1.0 - 0.3) / (2.0 - 0.3)
+"""Tangential over normal stiffness of a Hertzian contact at ν = 0.3 (R. D. Mindlin 1949, J. Appl. Mech. 16)."""
+CREEP_SPEED_M_S = 2e-3
+"""Plain Coulomb: sliding speed at which friction reaches 1/√2 of its value (S. Andersson, A. Söderberg & S. Björklund
+2007, Tribology International 40)."""
+
+
+@dataclass(frozen=True)
+class Bristles:
+    """Constants per row, each (B,). stiffness: σ0 [1/m], at 1 N. damping: σ1 [s/m] at rest, fading with the Stribeck
+    curve so that bristles never drive the probe (Olsson et al. 1998, Eur. J. Control 4)."""
+
+    friction: Float
+    stiffness: Float
+    damping: Float
+
+
+def bristles_of(mechanics: Sequence[Mechanics], probe: Probe) -> Bristles:
+    """σ0 = Mindlin's share of the contact's normal stiffness at 1 N, σ1 its damping ratio ζ as along the normal."""
+    normal = [
+        float(contact_stiffness(each, probe, 1.0)) if probe.soft_tip else surface_stiffness_at_1n(each, probe)
+        for each in mechanics
+    ]
+    known = [with_defaults(each) for each in mechanics]
+    stiffness = TANGENTIAL_OVER_NORMAL * np.array(normal)
+    damping = 2.0 * np.array([each.damping_ratio for each in known]) * np.sqrt(stiffness * probe.mass_kg)
+    return Bristles(np.array([each.friction for each in known]), stiffness, damping)
+
+
+class Law(Protocol):
+    """Friction of B contacts as the integrator asks for it; see LuGre for the arguments."""
+
+    force: Float
+
+    def __init__(self, bristles: Bristles, velocity: Float, dt: float) -> None: ...
+
+    def slope(self, sliding: Float, leaning: Float, surface_slope: Float, touching: Mask) -> tuple[Float, Float]: ...
+
+    def settle(self, sliding: Float) -> None: ...
+
+
+class LuGre:
+    """Bristles of B contacts: w (2, B) is their force per load."""
+
+    def __init__(self, bristles: Bristles, velocity: Float, dt: float) -> None:
+        """velocity: (2, B) of the first step, at which the bristles are taken as settled."""
+        self._friction, self._dt = bristles.friction, dt
+        self._step = bristles.stiffness * dt
+        self._damping = bristles.damping / self._step
+        pace = np.hypot(*velocity)
+        level = bristles.friction * (1.0 + (STATIC_OVER_KINETIC - 1.0) * np.exp(-np.square(pace / STRIBECK_SPEED_M_S)))
+        self.force = level * velocity / np.maximum(pace, 1e-9)
+        self._damped, self._share = np.zeros_like(pace), np.ones_like(pace)
+
+    def slope(self, sliding: Float, leaning: Float, surface_slope: Float, touching: Mask) -> tuple[Float, Float]:
+        """Friction of this step as a + b v_new per unit of load: a (2, B), b (B,) [s/m].
+
+        sliding: (2, B) velocity over the surface before the step. leaning: (B,) rise of μ per unit of slope against
+        the motion. surface_slope: (2, B). touching: (B,) bool, in contact. Backward Euler in w and v; |v| and
+        g are those before the step. Call settle(v_new) afterwards.
+        """
+        squared = sliding[0] * sliding[0]
+        squared += sliding[1] * sliding[1]
+        squared += 1e-14
+        pace = np.sqrt(squared)
+        flank = surface_slope[0] * sliding[0]
+        flank += surface_slope[1] * sliding[1]
+        flank *= leaning
+        flank /= pace
+        squared *= -1.0 / STRIBECK_SPEED_M_S**2
+        stribeck = np.exp(squared)
+        level = (STATIC_OVER_KINETIC - 1.0) * stribeck
+        level += 1.0
+        level *= self._friction
+        level += flank
+        np.maximum(level, 1e-6, out=level)
+        self.force *= touching
+        self._share = self._step / (1.0 + self._step * pace / level)
+        # (w + σ0 dt v) / D, D = 1 + σ0 dt |v| / g
+        self._held = self.force * (self._share / self._step)
+        self._damped = self._damping * stribeck
+        gain = 1.0 + self._damped
+        return gain * self._held - self._damped * self.force, gain * self._share
+
+    def settle(self, sliding: Float) -> None:
+        """Bend the bristles by the velocity (2, B) that the step has led to."""
+        self.force = self._held + self._share * sliding
+
+
+class Coulomb:
+    """Kinetic friction regularised at creep speed: no memory, no stiction."""
+
+    def __init__(self, bristles: Bristles, velocity: Float, dt: float) -> None:
+        del dt
+        self._friction = bristles.friction
+        self.force = bristles.friction * velocity / np.sqrt(np.square(velocity).sum(axis=0) + CREEP_SPEED_M_S**2)
+
+    def slope(self, sliding: Float, leaning: Float, surface_slope: Float, touching: Mask) -> tuple[Float, Float]:
+        """As LuGre.slope, with a = 0."""
+        del touching
+        pace = np.sqrt(np.square(sliding).sum(axis=0) + CREEP_SPEED_M_S**2)
+        flank = (surface_slope * sliding).sum(axis=0) * leaning / pace
+        return np.zeros_like(sliding), np.maximum(self._friction + flank, 0.0) / pace
+
+    def settle(self, sliding: Float) -> None:
+        """Nothing is remembered."""
+
+
+LAWS: dict[str, type[Law]] = {"lugre": LuGre, "coulomb": Coulomb}
