@@ -31,8 +31,8 @@ PATCHES = 4
 """Different patches in one call, so that no single one stands for the material."""
 SETTLE_S = 0.06
 """Simulated ahead of the recording, at the first speed and force: the start from rest is not part of it."""
-BATCH_SAMPLES = 3_200_000
-"""Rows times samples simulated at once: what bounds the memory."""
+BATCH_SAMPLES = 5_000_000
+"""Rows times samples simulated at once: about 1.1 GB."""
 SPEED_RANGE_M_S = (0.03, 0.25)
 FORCE_RANGE_N = (0.3, 3.0)
 """Where strokes mostly are; the simulator itself has no limit here."""
