@@ -103,6 +103,8 @@ def split_profile(profile: HeightProfile, carriers: Carriers) -> ProfileBands:
 
 def _stationary_power(wave: Float, period_m: float, band_edges: Float) -> Float:
     """Mean power (24,) of an octave's bands over the stretches in which no event happens."""
+    if wave.shape[1] == 0:
+        return np.zeros(len(wave))
     total = wave.sum(axis=0)
     step = 1.0 / (16.0 * band_edges[-1])
     stretch = max(round(4.0 / float(band_edges[0]) / step), 1)

@@ -81,3 +81,43 @@ def test_torch_twin_equals_numpy_and_has_finite_gradients():
     assert torch.isfinite(tensor.grad).all()
     inner = torch.tensor(sigma_dt[2:], requires_grad=True)
     assert torch.autograd.gradcheck(twin, (inner,))
+
+
+FLOATS = (np.float16, np.float32, np.float64)
+
+
+@given(st.data(), st.sampled_from(FLOATS), st.integers(1, 9), st.integers(1, 3))
+def test_no_emission_is_too_large(data, dtype, states, bands):
+    """Σ w ≤ 1, so â lies between 0 and the outermost α: also where α is the greatest number of the type."""
+    width = np.finfo(dtype).bits
+    density = st.floats(0.0, allow_nan=False, allow_infinity=True, width=width)
+    sigma_dt = data.draw(arrays(dtype, (2, states), elements=density | st.floats(0.0, 1.0, width=width)))
+    limit = float(np.finfo(dtype).max)
+    value = st.floats(allow_nan=False, allow_infinity=False, width=width) | st.sampled_from([limit, -limit])
+    alpha = data.draw(arrays(dtype, (2, states, bands), elements=value))
+    result = render(sigma_dt, alpha)
+    assert result.dtype == dtype
+    assert result.shape == (2, bands)
+    assert np.isfinite(result).all()
+    assert np.all((result >= np.minimum(alpha.min(axis=1), 0)) & (result <= np.maximum(alpha.max(axis=1), 0)))
+    np.testing.assert_array_equal(render(sigma_dt, alpha[..., 0]).shape, (2,))
+
+
+@pytest.mark.parametrize("dtype", FLOATS)
+def test_a_dense_neighbourhood_gives_the_greatest_number_back(dtype):
+    """Rounded weights sum to a little over 1 in many places; the largest number must not become infinite there."""
+    limit = np.finfo(dtype).max
+    for states in range(1, 200, 7):
+        sigma_dt = np.full(states, 40.0 / states, dtype)
+        assert render(sigma_dt, np.full(states, limit, dtype)) >= 0.99 * float(limit)
+        np.testing.assert_array_equal(
+            render(sigma_dt, np.full((states, 2), -limit, dtype)) <= -0.99 * float(limit), True
+        )
+
+
+def test_half_precision_is_rendered_in_single():
+    """400 emissions of weight 0.0025 each: in float16 the sum would stall at a quarter of a digit."""
+    sigma_dt = np.full(400, 0.004, dtype=np.float16)
+    alpha = np.linspace(1.0, 2.0, 400).astype(np.float16)
+    exact = float(render_weights_reference(sigma_dt.astype(float)) @ alpha.astype(float))
+    assert float(render(sigma_dt, alpha)) == pytest.approx(exact, rel=5e-4)

@@ -1,0 +1,359 @@
+"""The table of docs/numerics.md: worst errors of temporal rendering, of its gradients and of long synthesis.
+
+Usage: .venv/bin/python tools/check_numerics.py     (about 3 minutes on one core; needs the train and test extras)
+
+Every figure is computed here, against mpmath with 50 digits or against the same thing computed another way.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import mpmath as mp
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from hnf_core.action.smooth import steady_action, wandering_action
+from hnf_core.field.field import Field
+from hnf_core.field.reference import synthesise_reference
+from hnf_core.field.rendering import render, render_weights
+from hnf_core.field.stroke import StrokeInput, uniform_stroke
+from hnf_core.field.synthesis import prepare, render_block, synthesise
+from hnf_core.field.weights import load_field
+from hnf_core.material.library import load_library
+from hnf_core.metrics.spectra import welch
+from hnf_core.training.model import render_weights as twin
+
+DIGITS = 50
+LENGTHS = (1, 5, 64, 4096)
+TENSORS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
+RATES = (2000.0, 2205.0, 4000.0, 8000.0, 11_025.0, 16_000.0, 22_050.0, 44_100.0, 48_000.0, 96_000.0, 192_000.0)
+BLOCK_SIZES = (1, 7, 64, 1000)
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Worst:
+    """Largest absolute error, and largest relative one where the true value is of the type's normal range; where:
+    in words, of the relative one."""
+
+    absolute: float
+    relative: float
+    where: str
+
+    def worse(self, other: Worst) -> Worst:
+        larger = other if other.relative > self.relative else self
+        return Worst(max(self.absolute, other.absolute), larger.relative, larger.where)
+
+
+NONE = Worst(0.0, 0.0, "nowhere")
+
+
+def density_cases(count: int, largest: float, smallest: float, seed: int = 0) -> dict[str, Float]:
+    """Named σΔt (count,) in float64, within a type's least and greatest positive number: what a network gives, and
+    what it should never give."""
+    rng = np.random.default_rng(seed)
+    spread = np.exp(rng.uniform(np.log(smallest), np.log(largest), count))
+    mixed = np.where(rng.random(count) < 0.5, np.minimum(spread, 80.0 / count), 0.0)
+    last = np.full(count, 30.0 / count)
+    last[count // 2 :] = np.inf
+    return {
+        "equal": np.full(count, 40.548 / count),
+        "exponential": rng.exponential(60.0 / count, count),
+        "ascending over the whole type": np.sort(spread),
+        "any order over the whole type": np.minimum(spread, largest),
+        "zeros and small": mixed,
+        "least positive": np.full(count, smallest),
+        "greatest": np.full(count, largest),
+        "zero": np.zeros(count),
+        "infinite half way": last,
+    }
+
+
+@mp.workdps(DIGITS)
+def exact_weights(sigma_dt: Sequence[float]) -> list[mp.mpf]:
+    """w_n of the numbers as given, to DIGITS digits."""
+    before, out = mp.mpf(0), []
+    for value in sigma_dt:
+        density = mp.mpf(float(value))
+        hidden = mp.mpf(0) if mp.isinf(before) else mp.exp(-before)
+        out.append(hidden * (mp.mpf(1) if mp.isinf(density) else -mp.expm1(-density)))
+        before += density
+    return out
+
+
+@mp.workdps(DIGITS)
+def exact_gradient(sigma_dt: Sequence[float], upstream: Sequence[float]) -> tuple[list[mp.mpf], list[mp.mpf]]:
+    """d/dσ_j of Σ g_n w_n = g_j T_{j+1} − Σ_{n>j} g_n w_n; and the same with every term's absolute value."""
+    weights, after, magnitude = exact_weights(sigma_dt), mp.mpf(0), mp.mpf(0)
+    sums = [mp.mpf(0)]
+    for value in sigma_dt:
+        sums.append(sums[-1] + mp.mpf(float(value)))
+    gradient, scale = [mp.mpf(0)] * len(weights), [mp.mpf(0)] * len(weights)
+    for j in reversed(range(len(weights))):
+        direct = mp.mpf(float(upstream[j])) * (mp.mpf(0) if mp.isinf(sums[j + 1]) else mp.exp(-sums[j + 1]))
+        gradient[j], scale[j] = direct - after, abs(direct) + magnitude
+        after += mp.mpf(float(upstream[j])) * weights[j]
+        magnitude += abs(mp.mpf(float(upstream[j])) * weights[j])
+    return gradient, scale
+
+
+@mp.workdps(DIGITS)
+def worst_of(found: Float, exact: Sequence[mp.mpf], least: float, name: str, scale: Sequence[mp.mpf] = ()) -> Worst:
+    """Errors of found against exact; relative ones over scale (default: the exact value) where that is ≥ least.
+
+    A value that is not finite counts as infinitely wrong.
+    """
+    worst = NONE
+    for n, (value, truth) in enumerate(zip(found, exact, strict=True)):
+        if not np.isfinite(value):
+            return Worst(np.inf, np.inf, f"{name}, n = {n}: {value}")
+        error, over = abs(mp.mpf(float(value)) - truth), scale[n] if scale else abs(truth)
+        relative = float(error / over) if over >= least else 0.0
+        worst = worst.worse(Worst(float(error), relative, f"{name}, n = {n}"))
+    return worst
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A number type: its name, unit roundoff, least normal, least positive and greatest numbers, and how to round to
+    it."""
+
+    name: str
+    epsilon: float
+    normal: float
+    least: float
+    greatest: float
+    round: Callable[[Float], torch.Tensor]
+
+
+def kind_of(dtype: torch.dtype) -> Kind:
+    limits = torch.finfo(dtype)
+    return Kind(
+        str(dtype).removeprefix("torch."), limits.eps, limits.tiny, limits.tiny * limits.eps, limits.max,
+        lambda values: torch.tensor(values, dtype=torch.float64).to(dtype),
+    )  # fmt: skip
+
+
+def rounded_cases(dtype: torch.dtype, count: int) -> Iterator[tuple[str, torch.Tensor]]:
+    kind = kind_of(dtype)
+    for name, values in density_cases(count, kind.greatest, kind.least).items():
+        yield name, kind.round(values)
+    if kind.greatest > 1e30:
+        span = np.geomspace(1e-30, 1e30, count) if count > 1 else np.array([1e30])
+        yield "1e-30 … 1e30", kind.round(span)
+
+
+def weight_errors(dtype: torch.dtype, which: str, lengths: Sequence[int] = LENGTHS) -> Worst:
+    """Worst error of render_weights, "numpy" or "torch", over all cases."""
+    worst = NONE
+    with mp.workdps(DIGITS):
+        for count in lengths:
+            for name, given in rounded_cases(dtype, count):
+                found = torch.tensor(render_weights(given.numpy())) if which == "numpy" else twin(given)
+                exact = exact_weights(given.double().tolist())
+                worst = worst.worse(
+                    worst_of(found.double().numpy(), exact, kind_of(dtype).normal, f"{name}, N = {count}")
+                )
+    return worst
+
+
+def gradient_errors(dtype: torch.dtype, lengths: Sequence[int] = LENGTHS) -> Worst:
+    """Worst error of the torch twin's gradient; relative to Σ of the terms' absolute values, since they cancel."""
+    worst = NONE
+    with mp.workdps(DIGITS):
+        for count in lengths:
+            upstream = kind_of(dtype).round(np.random.default_rng(1).standard_normal(count))
+            for name, given in rounded_cases(dtype, count):
+                leaf = given.clone().requires_grad_()
+                twin(leaf).backward(upstream)
+                assert leaf.grad is not None
+                exact, scale = exact_gradient(given.double().tolist(), upstream.double().tolist())
+                found = leaf.grad.double().numpy()
+                worst = worst.worse(worst_of(found, exact, kind_of(dtype).normal, f"{name}, N = {count}", scale))
+    return worst
+
+
+def emission_errors(dtype: torch.dtype, lengths: Sequence[int] = LENGTHS) -> Worst:
+    """Worst error of render(), α from the least to the greatest number of the type and both signs, K = 3 each;
+    relative to Σ |w_n α_n|."""
+    worst, kind = NONE, kind_of(dtype)
+    # Below the normal range the result itself is coarse, whatever the terms.
+    least = kind.normal / kind.epsilon
+    with mp.workdps(DIGITS):
+        for count in lengths:
+            rng = np.random.default_rng(count)
+            sign = rng.choice([-1.0, 1.0], count)
+            spread = np.exp(rng.uniform(np.log(kind.least), np.log(kind.greatest), count))
+            alpha = np.stack([np.full(count, kind.greatest), sign * kind.greatest, sign * spread], axis=1)
+            alpha = np.clip(alpha, -kind.greatest, kind.greatest)
+            alpha = kind.round(alpha).numpy()
+            for name, given in rounded_cases(dtype, count):
+                weights = exact_weights(given.double().tolist())
+                terms = [[w * mp.mpf(float(a)) for w, a in zip(weights, column, strict=True)] for column in alpha.T]
+                exact, scale = [mp.fsum(column) for column in terms], [mp.fsum(map(abs, column)) for column in terms]
+                found = render(given.numpy(), alpha).astype(np.float64)
+                worst = worst.worse(worst_of(found, exact, least, f"{name}, N = {count}, K = 3", scale))
+    return worst
+
+
+def library_stroke(seconds: float, material: int = 0) -> StrokeInput:
+    """A steady stroke, 0.1 m/s and 1 N, on a material of the library."""
+    entry = load_library()[material]
+    return uniform_stroke(steady_action(seconds, 0.1, 1.0), entry.token, entry.mechanics)
+
+
+def wandering_stroke(seconds: float, seed: int = 0, material: int = 0) -> StrokeInput:
+    """A stroke whose speed, force and direction wander."""
+    entry = load_library()[material]
+    action = wandering_action(seconds, seed, speed_m_s=(0.03, 0.3), force_n=(0.3, 2.0))
+    return uniform_stroke(action, entry.token, entry.mechanics)
+
+
+def block_errors(field: Field, stroke: StrokeInput, size: int, start: int, count: int) -> float:
+    """Largest difference between one block of count samples and blocks of `size`, over its RMS."""
+    prepared = prepare(field, stroke, seed=5)
+    whole = render_block(prepared, start, count)
+    parts = [
+        render_block(prepared, first, min(size, start + count - first)) for first in range(start, start + count, size)
+    ]
+    return float(np.max(np.abs(np.concatenate(parts) - whole)) / np.sqrt(np.mean(np.square(whole))))
+
+
+def rate_errors(field: Field, stroke: StrokeInput, rates: Sequence[float] = RATES) -> Iterator[tuple[float, float]]:
+    """(rate, largest difference [dB]) of Welch spectra between the output at each rate and at the model's: bins of
+    10 Hz (of 5 Hz where a tenth of a second is no whole number of samples) up to 1 kHz or 0.45 of the rate."""
+    model = synthesise(field, stroke, seed=1).signal
+    for rate in rates:
+        other = synthesise(field, stroke, seed=1, sample_rate=rate).signal
+        window_s = 0.1 if (rate / 10.0).is_integer() else 0.2
+        (frequency, first), (_, second) = (
+            welch(signal.samples, signal.sample_rate, round(window_s * signal.sample_rate)) for signal in (model, other)
+        )
+        inside = np.flatnonzero((frequency >= 10.0) & (frequency <= min(1000.0, 0.45 * rate)))
+        yield rate, float(np.max(np.abs(10.0 * np.log10(second[inside] / first[inside]))))
+
+
+def correlation(samples: Float, least_lag: int, greatest_lag: int) -> float:
+    """Largest |autocorrelation| between the lags, each over the samples that overlap there."""
+    count = len(samples)
+    spectrum = np.fft.rfft(samples, 1 << (2 * count - 1).bit_length())
+    products = np.fft.irfft(np.square(np.abs(spectrum)))[: greatest_lag + 1]
+    lags = np.arange(greatest_lag + 1)
+    return float(np.max(np.abs(products / (count - lags) * count / products[0])[least_lag:]))
+
+
+def spread_db(power: Float, pieces: int) -> tuple[float, float]:
+    """Spread of mean power between minutes [dB], and the one to expect from that between the pieces of a minute, were
+    they independent. power: (minutes · pieces,)."""
+    minutes = power.reshape(-1, pieces)
+    in_db = 10.0 / np.log(10.0) / power.mean()
+    expected = np.sqrt(minutes.var(axis=1, ddof=1).mean() / pieces)
+    return float(minutes.mean(axis=1).std(ddof=1) * in_db), float(expected * in_db)
+
+
+def stream_figures(field: Field, minutes: int) -> Iterator[tuple[str, str]]:
+    """What `minutes` of streaming do, block after block: (what, figure)."""
+    stroke, started = library_stroke(60.0 * minutes), time.process_time()
+    prepared = prepare(field, stroke, seed=7)
+    yield "preparing all states", f"{time.process_time() - started:.0f} s of one core, peak memory {peak_mb():.0f} MB"
+    power, resident, kept, started = [], [], [], time.process_time()
+    for start in range(0, prepared.count, 10_000):
+        block = render_block(prepared, start, 10_000)
+        power.append(float(np.mean(np.square(block))))
+        kept.append(block.astype(np.float32))
+        if (start + 10_000) % 600_000 == 0:
+            resident.append(resident_mb() - sum(each.nbytes for each in kept) / 1e6)
+    yield "speed", f"{60.0 * minutes / (time.process_time() - started):.0f} times real time on one core"
+    yield "resident memory less the signal, minute 1 and last", f"{resident[0]:.0f} MB, {resident[-1]:.0f} MB"
+    inner = np.array(power)
+    inner[0], inner[-1] = inner[1], inner[-2]  # the touch and the lift are no texture
+    between, expected = spread_db(inner, 60)
+    yield "RMS by minute: spread, and what chance gives", f"{between:.3f} dB, {expected:.3f} dB"
+    slope = np.polyfit(np.arange(minutes), 10.0 * np.log10(inner.reshape(minutes, 60).mean(axis=1)), 1)[0]
+    yield "trend of the level", f"{slope:+.4f} dB a minute"
+    signal = np.concatenate(kept).astype(np.float64)[10_000:-10_000]
+    least, greatest = 1000, len(signal) // 2
+    yield "largest autocorrelation, lags 0.1 s to half the length", f"{correlation(signal, least, greatest):.4f}"
+    fresh = prepare(field, stroke, seed=7)
+    last = prepared.count - 20_000
+    again = render_block(fresh, last, 10_000).astype(np.float32)
+    yield (
+        "a block of the last minute, computed anew and alone",
+        ("the same bytes" if again.tobytes() == kept[last // 10_000].tobytes() else "differs"),
+    )
+    for start in (20_000, last):
+        exact = synthesise_reference(field, stroke, seed=7, start=start, count=1000)
+        found = render_block(prepared, start, 1000)
+        error = 10.0 * np.log10(np.mean(np.square(found - exact)) / np.mean(np.square(exact)))
+        yield f"fast path against Fourier sums, from {start / 1e4:g} s", f"{error:.1f} dB"
+
+
+def peak_mb() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+
+
+def resident_mb() -> float:
+    """Linux only, as the tool."""
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * resource.getpagesize() / 1e6
+
+
+def rendering_rows() -> Iterator[tuple[str, ...]]:
+    span = "0, least positive … greatest, ∞; N = 1, 5, 64, 4096"
+    for dtype in TENSORS[:1] + TENSORS[2:]:
+        yield row("weights, numpy", dtype, span, weight_errors(dtype, "numpy"))
+    for dtype in TENSORS:
+        yield row("weights, torch", dtype, span, weight_errors(dtype, "torch"))
+    for dtype in TENSORS:
+        yield row("gradient, torch", dtype, span, gradient_errors(dtype))
+    for dtype in TENSORS[:1] + TENSORS[2:]:
+        worst = emission_errors(dtype)
+        yield row("Σ w α, numpy", dtype, span + "; α to ± greatest", replace(worst, absolute=np.nan))
+
+
+def row(quantity: str, dtype: torch.dtype, span: str, worst: Worst) -> tuple[str, ...]:
+    absolute = "–" if np.isnan(worst.absolute) else f"{worst.absolute:.1e}"
+    kind = kind_of(dtype)
+    relative = f"{worst.relative:.1e} ({worst.relative / kind.epsilon:.2g} ε)"
+    return quantity, kind.name, span, absolute, relative, worst.where
+
+
+def table(head: Sequence[str], rows: Iterator[tuple[str, ...]]) -> None:
+    print("| " + " | ".join(head) + " |\n|" + "---|" * len(head))
+    for cells in rows:
+        print("| " + " | ".join(cells) + " |", flush=True)
+    print()
+
+
+def main(arguments: Sequence[str]) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--minutes", type=int, default=10, help="of streaming; 0 leaves it out")
+    parser.add_argument("--synthesis", action="store_true", help="leave out temporal rendering")
+    options = parser.parse_args(arguments)
+    torch.set_num_threads(1)
+    if not options.synthesis:
+        table(("quantity", "type", "range of σΔt", "absolute", "relative", "where"), rendering_rows())
+    field = load_field()
+    table(
+        ("blocks of", "difference from the whole, over its RMS"),
+        ((str(size), f"{block_errors(field, wandering_stroke(3.0), size, 9000, 2000):.1e}") for size in BLOCK_SIZES),
+    )
+    table(
+        ("output rate", "largest difference below 1 kHz (or 0.45 of the rate)"),
+        ((f"{rate:g} Hz", f"{worst:.4f} dB") for rate, worst in rate_errors(field, wandering_stroke(8.0))),
+    )
+    if options.minutes:
+        table(("streaming", "figure"), stream_figures(field, options.minutes))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
