@@ -54,7 +54,7 @@ def resampled(time: Float, values: Float, at: Float) -> Float:
 def smoothed(values: Float, rate: float, cutoff_hz: float = HAND_HZ) -> Float:
     """(n,) or (n, k) without what is faster than cutoff_hz (Gaussian, −3 dB there, no delay; ends point-mirrored)."""
     sigma = np.sqrt(np.log(2.0)) / (2.0 * np.pi * cutoff_hz)
-    pad = min(len(values) - 1, int(np.ceil(4.0 * sigma * rate)))
+    pad = min(len(values) - 1, int(np.ceil(6.0 * sigma * rate)))
     first, last = values[:1], values[-1:]
     longer = np.concatenate([2 * first - values[pad:0:-1], values, 2 * last - values[-2 : -pad - 2 : -1]])
     gain = np.exp(-0.5 * np.square(2.0 * np.pi * sigma * np.fft.rfftfreq(len(longer), 1.0 / rate)))

@@ -86,6 +86,19 @@ def test_the_signals_spectrum_is_the_exact_one(tmp_path, ma_order):
 
 
 @pytest.mark.parametrize("ma_order", [0, 4])
+def test_the_rms_is_that_of_the_impulse_response(tmp_path, ma_order):
+    model = read(tmp_path, ma_order=ma_order)
+    at = local_filters(model, 0.13, 2.5)
+    a, b = polynomial_from_lsf(at.ar_lsf)[0], at.gain[0] * polynomial_from_lsf(at.ma_lsf)[0]
+    response = np.zeros(5000)
+    for n in range(len(response)):
+        driven = b[n] if n < len(b) else 0.0
+        response[n] = driven - sum(a[i] * response[n - i] for i in range(1, min(n, len(a) - 1) + 1))
+    exact = np.sqrt(at.variance[0] * np.square(response).sum())
+    assert rms_and_centroid(model, 0.13, 2.5)[0] == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.parametrize("ma_order", [0, 4])
 def test_the_fast_recursion_equals_the_rule_as_written(tmp_path, ma_order):
     model = read(tmp_path, ma_order=ma_order)
     actions = [wandering_action(0.2, seed, speed_m_s=(0.02, 0.3), force_n=(0.2, 5.0)) for seed in range(3)]

@@ -45,16 +45,16 @@ def test_no_corner_at_the_action_rate():
 
 
 def test_a_call_gives_what_each_action_gives_alone_and_a_seed_is_a_new_draw():
-    actions = [wandering_action(0.2, seed, speed_m_s=(0.05, 0.2), force_n=(0.5, 2.0)) for seed in range(5)]
-    actions[3] = replace(actions[3], probe="finger")
+    actions = [wandering_action(0.15, seed, speed_m_s=(0.05, 0.2), force_n=(0.5, 2.0)) for seed in range(3)]
+    actions[2] = replace(actions[2], probe="finger")
     together = ROUGH.record(actions, 7)
     alone = ROUGH.record(actions[:1], 7)[0]
     np.testing.assert_allclose(together[0].samples, alone.samples, atol=1e-9 * rms(alone.samples))
     assert [each.action for each in together] == actions
-    assert ROUGH.record(actions, 7)[4].samples.tobytes() == together[4].samples.tobytes()
+    assert ROUGH.record(actions[:2], 7)[1].samples.tobytes() == together[1].samples.tobytes()
     other = ROUGH.record(actions[:1], 8)[0].samples
     assert abs(np.corrcoef(other, alone.samples)[0, 1]) < 0.3
-    assert rms(together[3].samples) < 0.7 * rms(together[2].samples)  # the finger's pad is soft
+    assert rms(together[2].samples) < 0.7 * rms(together[1].samples)  # the finger's pad is soft
 
 
 def test_the_gratings_tone_follows_speed():
@@ -79,7 +79,7 @@ def test_the_library_is_listed_and_looked_up():
     process = data.process("Oak Wood")
     assert process.name == "oak-wood"
     where = data.action_range("oak wood")
-    action = wandering_action(0.3, 1, speed_m_s=where.speed_m_s, force_n=where.force_n)
+    action = wandering_action(0.15, 1, speed_m_s=where.speed_m_s, force_n=where.force_n)
     assert rms(process.record([action], 1)[0].samples) > 0.05
     assert data.recordings("oak wood") == []
     assert data.image("oak wood") is None
