@@ -107,7 +107,7 @@ def read_stroke(
     time = time_grid(duration, rate, where=where)
     frames = np.array([seconds_to_frame(float(t), start, fps, base) for t in time])
     force, progress = sample_channels(obj, scene, (force_channel, progress_channel), frames)
-    force = checked_force(force, frames, where=where, most=FORCE_MAX_N)
+    keyed, force = force, checked_force(force, frames, where=where, most=FORCE_MAX_N)
     motion = _motion(group, law, checked_progress(progress, frames, where=where), time, arc.length, rate)
     placements = _placements(obj, target, scene, depsgraph, frames, metres_per_unit, moving) if moving else None
     samples = _samples(curve, arc, placements, time, motion, force)
@@ -117,8 +117,10 @@ def read_stroke(
         seconds = (whole - start) * base / fps
         deforming = shape_over_time(target, scene, surface.mesh, whole, seconds, metres_per_unit)
     notes: tuple[str, ...] = ()
+    if keyed.max() > FORCE_MAX_N * 1.001:
+        notes = (f"{where}: its force curve reaches {keyed.max():.3g} N and is held at {FORCE_MAX_N:g} N.",)
     if law == "PROGRESS" and group.law != "PROGRESS":
-        notes = (f"{where}: progress is keyed, so its {group.law.lower()} law is not used.",)
+        notes += (f"{where}: progress is keyed, so its {group.law.lower()} law is not used.",)
     return SceneStroke(
         name=obj.name,
         object_name=target.name,

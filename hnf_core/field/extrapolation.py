@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..action.action import Action
 from ..material.mechanics import Mechanics
 from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, LEVELS, TOKEN_NAMES, band_slice
-from .field import Field
+from .field import LOG_AMPLITUDE_CEILING, Field, FieldConfig
 from .ranges import SECTOR_RAD, Ranges, angle_to_sectors, nearest_in_hull
 from .stroke import StrokeInput
 
@@ -40,6 +40,7 @@ ORIENTED = 0.3
 OTHER_KIND = 1.0
 """Excess of what has no distance: another probe, a value given that never was (or left open that never was)."""
 MOVING_M_S = 1e-4
+CEILING_SHARE = 0.5
 UNTRAINED = 0.2
 _UNITS = {
     "stiffness_n_m": ("Stiffness", " N/m"),
@@ -66,13 +67,24 @@ def examine(field: Field, stroke: StrokeInput, action: Action) -> tuple[float, t
         *_span("Speed", " mm/s", 1e3, action.speed[moving], ranges.speed),
         *_span("Force", " N", 1.0, action.force[touching], ranges.force),
         *_pair(action.speed[moving], action.force[moving], ranges),
-        *_direction(action.direction[moving], action.speed[moving], ranges, tokens),
+        *_direction(action.direction[moving], action.speed[moving], field, tokens),
         *_token(tokens, ranges),
         *_mechanics(mechanics, ranges),
         *_probe(action.probe, ranges),
     ]
     confidence = np.prod([1.0 / (1.0 + excess) for excess, _ in remarks])
     return float(confidence), tuple(text for _, text in remarks)
+
+
+def at_ceiling(config: FieldConfig, loudest: float) -> tuple[str, ...]:
+    """A warning where the field's output was held at its ceiling (field.LOG_AMPLITUDE_CEILING), which no real touch
+    comes near. loudest: its largest accumulated amplitude, m/s²; memory's weights leave some 10 % of a ceiling off."""
+    ceiling = float(np.exp(LOG_AMPLITUDE_CEILING))
+    if config.emission != "log" or loudest < CEILING_SHARE * ceiling:
+        return ()
+    return (
+        f"The field asks for {_plain(ceiling)} m/s² or more in one band and is held there: no touch is so loud.",
+    )
 
 
 def _span(name: str, unit: str, scale: float, values: Float, limits: tuple[float, float]) -> Iterator[Remark]:
@@ -104,17 +116,18 @@ def _pair(speed: Float, force: Float, ranges: Ranges) -> Iterator[Remark]:
         yield float(excess[at]), text
 
 
-def _direction(direction: Float, speed: Float, ranges: Ranges, tokens: NDArray[np.float32]) -> Iterator[Remark]:
-    if ranges.sectors is None or len(speed) == 0:
+def _direction(direction: Float, speed: Float, field: Field, tokens: NDArray[np.float32]) -> Iterator[Remark]:
+    sectors = None if field.ranges is None else field.ranges.sectors
+    if sectors is None or len(speed) == 0:
         return
-    if not ranges.sectors:
+    if not sectors or not field.config.directed:
         share = _oriented(tokens)
         if share > ORIENTED:
             text = f"Training never told directions apart, but {share:.0%} of this surface's waves run one way"
             yield share, f"{text}: it is felt alike in every direction."
         return
     angle = np.arctan2(direction[:, 1], direction[:, 0])
-    apart, nearest = angle_to_sectors(ranges.sectors, angle)
+    apart, nearest = angle_to_sectors(sectors, angle)
     at = _on_path(apart, speed)
     excess = float(apart[at]) - DIRECTION_SLACK_RAD
     if excess > 1e-9:

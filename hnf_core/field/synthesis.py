@@ -17,7 +17,7 @@ from ..material.mechanics import PROBES
 from ..signal import Signal
 from .carriers import MODEL_RATE_HZ, Carriers
 from .contact_filter import LEAD, TAIL, FilterBank, filter_bank
-from .extrapolation import examine
+from .extrapolation import at_ceiling, examine
 from .field import Field, accumulate, evaluate
 from .linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition, upper_fade
 from .modulation import arc_term, interpolate, time_term
@@ -42,6 +42,7 @@ class Prepared:
 
     amplitude: (n, heads, K), what is left to the noise carriers. profile_amplitude: (n, Ka) factor on the profile's
     bands. force: (n,) N as pressed. audible: (count,) 0 … 1, zero far from contact.
+    loudest: the field's largest amplitude, m/s².
     """
 
     carriers: Carriers
@@ -53,6 +54,7 @@ class Prepared:
     audible: Float
     bands: ProfileBands | None = None
     profile_amplitude: Float | None = None
+    loudest: float = 0.0
 
     @property
     def count(self) -> int:
@@ -72,6 +74,7 @@ def synthesise(field: Field, stroke: StrokeInput, *, seed: int, sample_rate: flo
     samples = np.concatenate(blocks) if blocks else np.zeros(0)
     output, rate_warnings = resample(samples, MODEL_RATE_HZ, sample_rate)
     confidence, warnings = examine(field, stroke, prepared.action)
+    warnings += at_ceiling(field.config, prepared.loudest)
     if stroke.profile is not None and prepared.bands is None:
         warnings += ("This field has no arc-length carriers: the height profile is left out.",)
     provenance = {"probe": stroke.action.probe, "field": field.identity, "model_rate_hz": f"{MODEL_RATE_HZ:g}"}
@@ -85,6 +88,7 @@ def prepare(field: Field, stroke: StrokeInput, *, seed: int) -> Prepared:
     condition = condition_of(stroke, action, token_index)
     carriers = field.config.carriers
     amplitude = amplitudes(field, condition)
+    loudest = float(np.max(np.abs(amplitude), initial=0.0))
     fade = reading_fade(action, carriers)
     amplitude[:, :, carriers.arc_slice] *= (fade > 0.0)[:, None, :]
     pressed = np.where(action.contact, action.force, 0.0)
@@ -99,7 +103,7 @@ def prepare(field: Field, stroke: StrokeInput, *, seed: int) -> Prepared:
         amplitude[:, :, carriers.time_slice] *= shares.time[:, None, :]
     return Prepared(
         carriers, seed, action, amplitude, bank, pressed, _audible(action.contact, sample_count(action)), bands,
-        profile_amplitude,
+        profile_amplitude, loudest,
     )  # fmt: skip
 
 

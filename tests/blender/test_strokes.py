@@ -141,8 +141,12 @@ def test_handles_that_overshoot_are_blenders_and_clamped_at_the_end():
     stroke = read(obj)
     assert stroke.samples.force.min() == 0.0
     assert stroke.samples.force.max() == pytest.approx(1.0, abs=1e-3)
+    assert stroke.notes == ()
     points[1].co = (10, 70.0)
-    assert read(obj).samples.force.max() == 20.0
+    stroke = read(obj)
+    assert stroke.samples.force.max() == 20.0
+    (note,) = stroke.notes
+    assert "reaches 70 N and is held at 20 N" in note
 
 
 def test_extrapolation_and_noise_follow_blender():

@@ -15,6 +15,7 @@ from hnf_core.field.extrapolation import examine
 from hnf_core.field.field import Field, FieldConfig, initial_parameters
 from hnf_core.field.ranges import Given, Ranges, ranges_of
 from hnf_core.field.stroke import uniform_stroke
+from hnf_core.field.synthesis import synthesise
 from hnf_core.field.weights import load_field
 from hnf_core.material.library import load_library
 from hnf_core.material.mechanics import Mechanics
@@ -274,3 +275,21 @@ def test_a_spike_in_a_long_recording_is_not_training():
 def test_data_without_a_stroke_is_refused(actions):
     with pytest.raises(StrokeError, match="no training stroke ever moves"):
         ranges_of(actions, TOKENS, MECHANICS)
+
+
+def test_a_field_held_at_its_ceiling_says_so():
+    parameters = {**PARAMETERS, "alpha.bias": np.full_like(PARAMETERS["alpha.bias"], 30.0)}
+    stroke = uniform_stroke(steady_action(0.2, 0.1, 1.0), TOKENS[0], MIDDLE)
+    assert synthesise(FIELD, stroke, seed=0).warnings == ()
+    (warning,) = synthesise(dataclasses.replace(FIELD, parameters=parameters), stroke, seed=0).warnings
+    assert "403 m/s² or more in one band" in warning
+
+
+def test_a_field_without_a_sense_of_direction_is_judged_as_one():
+    grained = TOKENS[0].copy()
+    for index, name in enumerate(TOKEN_NAMES):
+        if name.startswith(("cos2", "sin2")):
+            grained[index] = 0.6
+    deaf = dataclasses.replace(trained(tokens=grained[None]), config=dataclasses.replace(CONFIG, directed=False))
+    assert "of this surface's waves run one way" in judge(deaf, steady_action(0.1, 0.1, 1.0), grained)[1]
+    assert judge(trained(tokens=grained[None]), steady_action(0.1, 0.1, 1.0), grained) == (1.0, "")
