@@ -1,0 +1,1 @@
+"""Methods × metrics × data, always beside what the data themselves allow."""

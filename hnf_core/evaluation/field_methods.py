@@ -1,0 +1,84 @@
+"""Our own field as a method: trained on one material, or one field for all by its token; natural and for benchmarks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..action.action import Action
+from ..baselines.method import Fitted, Form, Specimen
+from ..errors import UsageError
+from ..field.expected_magnitude import synthesise_expected_magnitude
+from ..field.field import Field
+from ..field.stroke import uniform_stroke
+from ..field.synthesis import synthesise
+from ..material.mechanics import Mechanics
+from ..material.token import TOKEN_DIM
+
+Float = NDArray[np.float64]
+_SEEDS_A_CALL = 1000
+
+
+@dataclass(frozen=True)
+class FieldFitted:
+    """A field and the material it is asked about."""
+
+    field: Field
+    token: NDArray[np.float32]
+    mechanics: Mechanics
+    form: Form = "natural"
+
+    def render(self, actions: Sequence[Action], seed: int) -> list[Float]:
+        """By the product's own synthesis; action i of a call has a seed of its own."""
+        return [self._one(action, _SEEDS_A_CALL * seed + index) for index, action in enumerate(actions)]
+
+    def _one(self, action: Action, seed: int) -> Float:
+        stroke = uniform_stroke(action, self.token, self.mechanics)
+        if self.form == "expected magnitude":
+            return synthesise_expected_magnitude(self.field, stroke)
+        return synthesise(self.field, stroke, seed=seed).signal.samples.astype(np.float64)
+
+
+@dataclass(frozen=True)
+class TrainedField:
+    """Method: the field trained on one material's recordings, as `hnf train field` does. epochs: None = the trainer's
+    own schedule."""
+
+    name: str = "field, per material"
+    form: Form = "natural"
+    epochs: int | None = None
+
+    def fit(self, specimen: Specimen, seed: int) -> Fitted:
+        from ..training.material import Schedule, train_material
+        from ..training.own_material import config_for
+
+        recordings = list(specimen.recordings)
+        config = config_for(recordings, arc=specimen.token is not None, token_known=specimen.token is not None)
+        schedule = Schedule() if self.epochs is None else Schedule(epochs=self.epochs)
+        trained = train_material(
+            recordings, config, seed, schedule=schedule, token=specimen.token, mechanics=specimen.mechanics
+        )
+        token = np.zeros(TOKEN_DIM, dtype=np.float32) if specimen.token is None else specimen.token
+        return FieldFitted(trained.field, token, specimen.mechanics, self.form)
+
+
+@dataclass(frozen=True)
+class SharedField:
+    """Method: one field for all materials, given this one's token and mechanics only. It learns nothing from the
+    recordings, and may or may not have met the material in training: its weights say."""
+
+    field: Field
+    name: str = "field, shared"
+    form: Form = "natural"
+
+    def fit(self, specimen: Specimen, seed: int) -> Fitted:
+        """Raises UsageError for a material without a token."""
+        del seed
+        if specimen.token is None:
+            raise UsageError(
+                f"'{specimen.name}' has no token.", remedy="The shared field needs one; leave it out here."
+            )
+        return FieldFitted(self.field, specimen.token, specimen.mechanics, self.form)
