@@ -227,7 +227,8 @@ def recent_action(action: Action, end_s: Float) -> NDArray[np.float32]:
 
 
 def train(data: Frames, scale: float, steps: int, seed: int) -> GacmNetwork:
-    """Fit to mean (|A| − |Â|)². Deterministic for one number of threads."""
+    """Fit to mean (|A| − |Â|)². Deterministic."""
+    torch.set_num_threads(1)
     torch.manual_seed(seed)
     network = GacmNetwork(data.magnitude.shape[1])
     generator = torch.Generator().manual_seed(seed)

@@ -17,7 +17,7 @@ from ..datasets.hatt_models import TextureModel
 from .by_duration import by_duration
 from .method import Form, Specimen
 from .pieces import cut
-from .piecewise_ar_fit import MAX_ORDER, as_model, fit
+from .piecewise_ar_fit import GRIDS, MAX_ORDER, as_model, fit
 
 Float = NDArray[np.float64]
 
@@ -40,14 +40,15 @@ class PiecewiseArFitted:
 
 @dataclass(frozen=True)
 class PiecewiseAr:
-    """Method: piecewise AR (HaTT's model class, our own fit)."""
+    """Method: piecewise AR (HaTT's model class, our own fit). grids: speeds × forces to choose from."""
 
     name: str = "piecewise AR (HaTT)"
     form: Form = "natural"
+    grids: tuple[tuple[int, int], ...] = GRIDS
 
     def fit(self, specimen: Specimen, seed: int) -> PiecewiseArFitted:
         """Deterministic: nothing is drawn. Raises FileError where no piece of a recording is steady and in contact."""
         del seed
         pieces = cut(specimen.recordings, MAX_ORDER)
-        fitted = fit(pieces)
+        fitted = fit(pieces, self.grids)
         return PiecewiseArFitted(as_model(fitted.grid, fitted.lsf, fitted.variance, pieces, specimen.name))

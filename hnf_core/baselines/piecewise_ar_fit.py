@@ -9,6 +9,7 @@ this is kinder to it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,7 @@ from torch import Tensor
 from ..datasets.autoregressive import local_filters
 from ..datasets.hatt_models import TextureModel
 from ..datasets.line_spectra import lsf_from_polynomial
+from ..errors import FileError
 from .linear_prediction import Prediction, burg
 from .pieces import Pieces
 
@@ -33,6 +35,9 @@ START_PIECES = 100
 PIECES_PER_MODEL = 8
 HELD_OUT = 10
 ITERATIONS = 60
+TRIAL_ITERATIONS = 30
+INWARD = 0.9998
+"""Radius by which every pole of a start is drawn in: a pure tone would put one on the circle, where LSFs meet."""
 LEVEL_STEP, GAP_STEP = 1.0, 0.2
 """What neighbours may differ by: standard deviation of log variance, and of the log of each gap between LSFs. Weak: a
 vertex that no piece came near takes after its neighbours."""
@@ -120,18 +125,26 @@ class Fitted:
     loss: float
 
 
-def fit(pieces: Pieces) -> Fitted:
-    """The best of GRIDS, fitted to all pieces. Deterministic."""
+def fit(pieces: Pieces, grids: Sequence[tuple[int, int]] = GRIDS) -> Fitted:
+    """The best of the grids that there are pieces for, fitted to all of them. Deterministic.
+
+    Raises FileError where no grid can be fitted.
+    """
+    torch.set_num_threads(1)
     covariance = torch.from_numpy(covariances(pieces))
     held_out = np.arange(len(pieces.speed)) % HELD_OUT == HELD_OUT - 1
-    candidates: list[Fitted] = []
-    for speeds, forces in GRIDS:
-        if candidates and speeds * forces * PIECES_PER_MODEL > len(pieces.speed):
+    tried: list[Fitted] = []
+    for speeds, forces in grids:
+        if tried and speeds * forces * PIECES_PER_MODEL > len(pieces.speed):
             break
-        candidates.append(fit_grid(pieces, covariance, make_grid(pieces, speeds, forces), ~held_out))
-        if len(candidates) > 1 and candidates[-1].loss > candidates[-2].loss:
+        grid = make_grid(pieces, speeds, forces)
+        tried.append(fit_grid(pieces, covariance, grid, ~held_out, TRIAL_ITERATIONS))
+        if len(tried) > 2 and min(tried[-1].loss, tried[-2].loss) > tried[-3].loss:
             break
-    best = min(candidates, key=lambda each: each.loss)
+    finite = [each for each in tried if np.isfinite(each.loss)]
+    if not finite:
+        raise FileError("no autoregressive model fits it.", where="recordings", remedy="Look for silence or clipping.")
+    best = min(finite, key=lambda each: each.loss)
     return fit_grid(pieces, covariance, best.grid, np.ones(len(held_out), dtype=np.bool_))
 
 
@@ -141,7 +154,8 @@ def fit_grid(
     """Greatest posterior given the pieces in `train`; loss of the others."""
     predictions = starts(pieces, grid, pieces.lead)
     order = choose_order(predictions, min(START_PIECES, len(pieces.speed)) * pieces.body.shape[1])
-    lsf = np.stack([lsf_from_polynomial(each.polynomial(order)) for each in predictions])
+    inward = INWARD ** np.arange(order + 1)
+    lsf = np.stack([lsf_from_polynomial(inward * each.polynomial(order)) for each in predictions])
     gaps = np.diff(np.concatenate([np.zeros((len(lsf), 1)), lsf, np.full((len(lsf), 1), np.pi)], axis=1), axis=1)
     shape = torch.tensor(np.log(gaps), requires_grad=True)
     level = torch.tensor(np.log([each.error[order] for each in predictions]), requires_grad=True)
