@@ -125,7 +125,7 @@ def read_stroke(files: dict[str, Path], material: str) -> Recording:
     count = whole_action_samples(stop - start, where)
     at = start + np.arange(round((count - 1) / 200.0 * SIGNAL_RATE_HZ)) / SIGNAL_RATE_HZ
     samples = resampled(time, axes, at)
-    known, notes = set(), [f"{rate:.0f} Hz resampled to 10 kHz; gravity removed"]
+    known, notes = set(), [f"{rate:.0f} Hz resampled to 10 kHz; gravity removed", "the probe is taken as the pen"]
     gap = float(np.diff(time).max())
     if gap > LONG_GAP_S:
         notes.append(f"a gap of {1e3 * gap:.0f} ms between samples is bridged")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from pathlib import Path
 
@@ -39,15 +37,12 @@ def read_table(path: Path, wanted: tuple[str, ...]) -> tuple[Float, dict[str, st
     Case, order and further columns do not matter; comma, semicolon or tab separate. Raises FileError for a column that
     is missing, a cell that is no finite number, or no rows.
     """
-    text, where = read_text(path), str(path)
-    first = text.partition("\n")[0]
+    where = str(path)
+    numbered = [(number, line) for number, line in enumerate(read_text(path).splitlines(), start=1) if line.strip()]
+    first = numbered[0][1] if numbered else ""
     separator = max((",", ";", "\t"), key=first.count)
-    try:
-        rows = [row for row in csv.reader(io.StringIO(text), delimiter=separator) if any(map(str.strip, row))]
-    except csv.Error as error:
-        raise FileError(f"not a CSV table ({error}).", where=where, remedy=_AGAIN) from error
-    header = [re.match(r"\s*([^(\[]*?)\s*(?:[(\[](.*)[)\]])?\s*$", cell) for cell in rows[0]] if rows else []
-    names = [match[1].lower() if match else "" for match in header]
+    header = [re.match(r"\s*([^(\[]*?)\s*(?:[(\[](.*)[)\]])?\s*$", cell) for cell in first.split(separator)]
+    names = [match[1].strip('"').lower() if match else "" for match in header]
     missing = [name for name in wanted if name.lower() not in names]
     if missing:
         raise FileError(
@@ -57,25 +52,45 @@ def read_table(path: Path, wanted: tuple[str, ...]) -> tuple[Float, dict[str, st
     units = {
         name: match[2] for name, place in zip(wanted, places, strict=True) if (match := header[place]) and match[2]
     }
-    if len(rows) < 2:
+    if len(numbered) < 2:
         raise FileError("it has no rows.", where=where, remedy=_AGAIN)
-    return np.array([_cells(row, places, number, where) for number, row in enumerate(rows[1:], start=2)]), units
-
-
-def _cells(row: list[str], places: list[int], number: int, where: str) -> list[float]:
-    try:
-        values = [float(row[place]) for place in places]
-    except (ValueError, IndexError) as error:
-        raise FileError(f"line {number}: a cell is missing or no number.", where=where, remedy=_AGAIN) from error
-    if not measurable(np.array(values)).all():
-        raise FileError(f"line {number}: a value is not finite or beyond {BEYOND:g}.", where=where, remedy=_AGAIN)
-    return values
+    return _numbers(numbered[1:], separator, places, where), units
 
 
 def read_numbers(path: Path) -> Float:
     """One number a line → (n,). Raises FileError for a line that is not one finite number, or for none."""
-    lines = [line.strip() for line in read_text(path).splitlines()]
-    values = [_cells([line], [0], number, str(path))[0] for number, line in enumerate(lines, start=1) if line]
-    if not values:
+    numbered = [(number, line) for number, line in enumerate(read_text(path).splitlines(), start=1) if line.strip()]
+    if not numbered:
         raise FileError("it is empty.", where=str(path), remedy=_AGAIN)
-    return np.array(values)
+    return _numbers(numbered, ",", [0], str(path))[:, 0]
+
+
+def _numbers(numbered: list[tuple[int, str]], separator: str, places: list[int], where: str) -> Float:
+    """Lines with their numbers → (n, len(places)); which line is at fault is only looked for where one is."""
+    try:
+        lines = (line for _, line in numbered)
+        values = np.loadtxt(lines, delimiter=separator, usecols=places, comments=None, ndmin=2)
+    except ValueError as error:
+        for number, line in numbered:
+            cells = line.split(separator)
+            if not all(place < len(cells) and _is_number(cells[place]) for place in places):
+                raise FileError(
+                    f"line {number}: a cell is missing or no number.", where=where, remedy=_AGAIN
+                ) from error
+        raise FileError(f"not a table of numbers ({error}).", where=where, remedy=_AGAIN) from error
+    usable = measurable(values).all(axis=1)
+    if not usable.all():
+        raise FileError(
+            f"line {numbered[int(np.argmin(usable))][0]}: a value is not finite or beyond {BEYOND:g}.",
+            where=where,
+            remedy=_AGAIN,
+        )
+    return np.asarray(values)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True

@@ -27,8 +27,9 @@ def files_below(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
             raise FileError(
                 f"more than {MOST_FILES} files.", where=str(folder), remedy="Give the data set's own folder."
             )
-        found += [Path(here) / name for name in names
-                  if not name.startswith(".") and os.path.splitext(name)[1].lower() in suffixes]  # fmt: skip
+        wanted = (name for name in names if not name.startswith(".") and os.path.splitext(name)[1].lower() in suffixes)
+        # A pipe or device of such a name would be waited for.
+        found += [path for name in wanted if (path := Path(here) / name).is_file()]
     return sorted(found)
 
 

@@ -32,6 +32,7 @@ ASSUMED_FORCE_N = 1.0
 ASSUMPTION = (
     f"no action was recorded: direction +x, {ASSUMED_SPEED_M_S:g} m/s and {ASSUMED_FORCE_N:g} N are assumed",
     "the files have no units: 10 kHz and m/s² are assumed",
+    "the probe is taken as the pen",
 )
 _TAKE = r"(?P<take>(?:query|train|training|test|testing)_?\d+)"
 _FORMS = (

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import numpy as np
 import pytest
 from hatt_files import HATT, TRIANGLES, model_xml, needs_hatt, read, values
@@ -160,6 +162,13 @@ def test_a_folder_of_any_arrangement_is_understood(tmp_path, layout):
     assert data.action_range("testcloth").speed_m_s == pytest.approx((0.1, 0.2))
     assert data.action_range("testcloth").force_n == pytest.approx((2.0, 4.0))
     assert data.image("test cloth") == tmp_path / "TextureImages/Test Cloth_square.bmp"
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+def test_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "Models_Pipe.xml")
+    (tmp_path / "Models_Cork.xml").write_text(model_xml())
+    assert open_dataset("hatt", tmp_path).materials == ("Cork",)
 
 
 def test_unknown_names_kinds_and_folders_are_refused(tmp_path):
