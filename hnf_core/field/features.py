@@ -23,6 +23,7 @@ from .linear_contact import (
     linear_contact,
     time_band_power,
 )
+from .lines import prior_columns
 
 Float = NDArray[np.float64]
 
@@ -40,8 +41,9 @@ _PHYSICS_SCALARS = 3
 
 @dataclass(frozen=True)
 class Inputs:
-    """x: (n, D) network input. prior: (n, K) log amplitude per carrier of the linear contact. gate: (n, K) factor
-    0 … 1 on the emission: 0 at rest, out of contact, and where an arc carrier leaves the band."""
+    """x: (n, D) network input. prior: (n, K) log amplitude per carrier of the linear contact; with line gains that of
+    its noise alone, and lines.PRIOR_COLUMNS more columns for the tones. gate: (n, K) factor 0 … 1 on the emission: 0 at
+    rest, out of contact, and where an arc carrier leaves the band."""
 
     x: Float
     prior: Float
@@ -54,11 +56,17 @@ def input_size(carriers: Carriers, physics: bool, action_octaves: int = 0) -> in
 
 
 def build_inputs(
-    condition: Condition, carriers: Carriers, physics: bool, action_octaves: int = 0, directed: bool = True
+    condition: Condition,
+    carriers: Carriers,
+    physics: bool,
+    action_octaves: int = 0,
+    directed: bool = True,
+    line_gains: bool = False,
 ) -> Inputs:
     """Evaluate inputs at every state; without physics, x ends with the action and prior is 0.
 
     action_octaves: see encode_action. directed: False leaves direction out (0), so that nothing depends on it.
+    line_gains: keep the tones apart (see lines); needs physics and arc carriers.
     """
     speed = np.maximum(condition.speed, SPEED_FLOOR_M_S)
     force = np.maximum(condition.force, FORCE_FLOOR_N)
@@ -91,7 +99,9 @@ def build_inputs(
         ]
         prior[:, carriers.time_slice] = log_amplitude(time_power * share)
         if carriers.arc_count:
-            prior[:, carriers.arc_slice] = log_amplitude(linear.power)
+            prior[:, carriers.arc_slice] = log_amplitude(linear.noise if line_gains else linear.power)
+        if line_gains:
+            prior = np.concatenate([prior, prior_columns(linear.lines)], axis=1)
     return Inputs(np.concatenate(columns, axis=1), prior, gate)
 
 

@@ -19,6 +19,7 @@ from ..action.action import ACTION_RATE_HZ
 from .carriers import Carriers
 from .features import build_inputs, input_size
 from .linear_contact import Condition
+from .lines import GAINS, line_power
 from .ranges import Ranges
 from .rendering import render_weights
 
@@ -44,7 +45,8 @@ class FieldConfig:
     over log κ and read linearly between; 0 = one per carrier. With one each, the few training strokes whose tone falls
     on a carrier decided alone how loud that carrier's tones are (up to 28 dB off on an unseen weave). action_octaves:
     of the positional encoding of u(t), features.encode_action. directed: False for data that never told directions
-    apart; the field then ignores d.
+    apart; the field then ignores d. line_gains: an output for each tone of the token's lattice, see lines; needs
+    physics, log emission and arc carriers.
     """
 
     hidden: int = 256
@@ -58,6 +60,7 @@ class FieldConfig:
     arc_knots: int = 25
     action_octaves: int = 0
     directed: bool = True
+    line_gains: bool = False
 
     @staticmethod
     def published(hidden: int = 1024, layers: int = 4, states: int = 5) -> FieldConfig:
@@ -78,7 +81,7 @@ class FieldConfig:
     def alpha_outputs(self) -> int:
         """Values of one α head."""
         spared = self.carriers.arc_count - self.arc_knots if self.arc_knots and self.carriers.arc_count else 0
-        return self.carriers.count - spared
+        return self.carriers.count - spared + (GAINS if self.line_gains else 0)
 
     def expansion(self) -> NDArray[np.float32] | None:
         """(Ka, arc_knots) linear interpolation from knots to arc carriers, or None where each has its own value."""
@@ -126,19 +129,26 @@ class Emission:
 def evaluate(model: Field, condition: Condition) -> Emission:
     """F_Θ at each of n states, in float32 products (as the torch twin)."""
     config, weights = model.config, model.parameters
-    inputs = build_inputs(condition, config.carriers, config.physics, config.action_octaves, config.directed)
+    inputs = build_inputs(
+        condition, config.carriers, config.physics, config.action_octaves, config.directed, config.line_gains
+    )
     hidden = inputs.x.astype(np.float32)
     for layer in range(config.layers):
         hidden = np.maximum(hidden @ weights[f"layer{layer}.weight"].T + weights[f"layer{layer}.bias"], 0.0)
     head = (hidden @ weights["alpha.weight"].T + weights["alpha.bias"]).astype(np.float64)
     alpha = head.reshape(len(head), config.alpha_heads, config.alpha_outputs)
+    alpha, gains = (alpha[..., :-GAINS], alpha[:, 0, -GAINS:]) if config.line_gains else (alpha, None)
+    prior, tones = np.split(inputs.prior, [config.carriers.count], axis=1)
     expansion, first = config.expansion(), config.carriers.arc_slice.start
     if expansion is not None:
         alpha = np.concatenate([alpha[..., :first], alpha[..., first:] @ expansion.T], axis=-1)
     if config.physics:
-        alpha = alpha + (weights["skip"] * inputs.prior)[:, None, :]
+        alpha = alpha + (weights["skip"] * prior)[:, None, :]
     if config.emission == "log":
         alpha = np.exp(np.minimum(alpha, LOG_AMPLITUDE_CEILING))
+    if gains is not None:
+        ringing = line_power(gains, tones, config.carriers.arc_count, LOG_AMPLITUDE_CEILING)
+        alpha[:, 0, config.carriers.arc_slice] = np.sqrt(np.square(alpha[:, 0, config.carriers.arc_slice]) + ringing)
     sigma = hidden @ weights["sigma.weight"].T + weights["sigma.bias"]
     sigma_dt = np.logaddexp(0.0, sigma.astype(np.float64))
     return Emission(alpha * inputs.gate[:, None, :], sigma_dt)

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from ..material.contact import contact_radius, height_response, resonance_hz, tip_response, with_defaults
 from ..material.mechanics import PROBES, Mechanics
 from .carriers import ARC_PER_OCTAVE, Carriers
-from .linear_texture import cut, texture_of
+from .linear_texture import add_at, cut_lines, cut_noise, texture_of
+from .lines import Lines
 
 Float = NDArray[np.float64]
 
@@ -54,11 +55,13 @@ class Condition:
 @dataclass(frozen=True)
 class LinearContact:
     """power: (n, Ka) acceleration power [(m/s²)²] per arc band, all axes; normal: (n,) of the normal axis alone.
-    resonance: (n,) Hz of probe on contact."""
+    resonance: (n,) Hz of probe on contact. noise: (n, Ka) power without the lattice's tones, which are lines."""
 
     power: Float
     normal: Float
     resonance: Float
+    noise: Float
+    lines: Lines
 
 
 def arc_gain(wavenumber: Float, speed: Float) -> Float:
@@ -98,11 +101,25 @@ def linear_contact(condition: Condition, carriers: Carriers) -> LinearContact:
     hand = HAND_STIFFNESS_N_M / probe.mass_kg
     lateral = omega**4 / (np.square(hand - omega**2) + 4.0 * HAND_DAMPING_RATIO**2 * hand * omega**2)
     fade = np.square(arc_gain(kappa, speed))
-    normal = cut(texture, passed, carriers) * response * fade
     wave = np.square(2.0 * np.pi * kappa)
-    slopes = cut(texture, leaned * wave, carriers) + flank[:, None] * wave * cut(texture, leaned, carriers)
-    slopes *= lateral * np.square(force / probe.mass_kg)[:, None] * fade
-    return LinearContact(normal * (1.0 + np.square(friction))[:, None] + slopes, normal.sum(axis=1), resonance)
+    up, aside = response * fade, lateral * np.square(force / probe.mass_kg)[:, None] * fade
+    rubbed = 1.0 + np.square(friction)[:, None]
+    normal = cut_noise(texture, passed, carriers) * up
+    slopes = cut_noise(texture, leaned * wave, carriers) + flank[:, None] * wave * cut_noise(texture, leaned, carriers)
+    noise = normal * rubbed + slopes * aside
+    # The same for the tones, each where it sounds.
+    met, low = cut_lines(texture, passed, carriers)
+    leant = cut_lines(texture, leaned * wave, carriers)[0]
+    climbed = flank[:, None] * cut_lines(texture, leaned, carriers)[0]
+    at = np.clip(low + np.arange(2)[:, None, None], 0, len(kappa) - 1)
+    rows = np.arange(len(speed))[:, None]
+    tone = met * up[rows, at]
+    lines = Lines(tone * rubbed + (leant + climbed * wave[at]) * aside[rows, at], low)
+    power = noise.copy()
+    for tap in range(2):
+        add_at(power, low + tap, lines.power[tap])
+        add_at(normal, low + tap, tone[tap])
+    return LinearContact(power, normal.sum(axis=1), resonance, noise, lines)
 
 
 def profile_band_power(height_power: Float, condition: Condition, carriers: Carriers) -> Float:

@@ -70,6 +70,15 @@ def texture_of(tokens: NDArray[np.float32] | Float, direction: Float, carriers: 
 
 def cut(texture: Texture, weight: Float, carriers: Carriers) -> Float:
     """Power per arc-length band (n, Ka) of a straight cut through the surface filtered by weight (n, Ka) at |κ|."""
+    out = cut_noise(texture, weight, carriers)
+    power, low = cut_lines(texture, weight, carriers)
+    for tap in range(2):
+        add_at(out, low + tap, power[tap])
+    return out
+
+
+def cut_noise(texture: Texture, weight: Float, carriers: Carriers) -> Float:
+    """What noise, without the lattice's tones, gives to cut(): (n, Ka)."""
     weighted = texture.noise * weight
     out = np.zeros_like(weighted)
     count = weighted.shape[1]
@@ -77,12 +86,28 @@ def cut(texture: Texture, weight: Float, carriers: Carriers) -> Float:
         shift = int(np.rint(-ARC_PER_OCTAVE * np.log2(np.abs(np.cos(angle)))))
         if shift < count:
             out[:, : count - shift] += (weighted * density[:, texture.band])[:, shift:] / ANGLES
-    start = carriers.arc_centres()[0]
+    return out
+
+
+def cut_lines(texture: Texture, weight: Float, carriers: Carriers) -> tuple[Float, NDArray[np.intp]]:
+    """The tones of cut(): power (2, n, 2 · bands) in the two arc bands about each, so that their centroid is exact, and
+    the index (n, 2 · bands) of the lower band, which may lie outside. First the tones along the lattice's axis."""
+    start, count = carriers.arc_centres()[0], carriers.arc_count
     place = np.clip(np.rint(ARC_PER_OCTAVE * np.log2(texture.line_wavenumber / start)).astype(int), 0, count - 1)
     line_weight = np.take_along_axis(weight, place, axis=1)
-    for power, cosine in zip(texture.line_power, texture.line_cosine, strict=True):
-        _add_lines(out, power * line_weight, texture.line_wavenumber * cosine, start)
-    return out
+    power = np.concatenate(list(texture.line_power * line_weight), axis=1)
+    wavenumber = np.concatenate(list(texture.line_wavenumber * texture.line_cosine), axis=1)
+    position = ARC_PER_OCTAVE * np.log2(np.maximum(wavenumber, 1e-9) / start)
+    low = np.floor(position).astype(np.intp)
+    share = position - low
+    return np.stack([power * (1.0 - share), power * share]), low
+
+
+def add_at(out: Float, index: NDArray[np.intp], power: Float) -> None:
+    """out (n, Ka) += power (n, m) at index (n, m), where that is inside."""
+    rows = np.broadcast_to(np.arange(len(out))[:, None], index.shape)
+    inside = (index >= 0) & (index < out.shape[1])
+    np.add.at(out, (rows[inside], index[inside]), power[inside])
 
 
 def _radial(power: Float, position: Float) -> Float:
@@ -109,14 +134,3 @@ def _bump(angle: Float) -> Float:
     """Angular density of oriented waves about 0, period 180°, mean 1 over ANGLES samples."""
     mean = np.mean(np.exp(_LINE_CONCENTRATION * (np.cos(2.0 * _GRID_ANGLES) - 1.0)))
     return np.asarray(np.exp(_LINE_CONCENTRATION * (np.cos(2.0 * angle) - 1.0)) / mean)
-
-
-def _add_lines(out: Float, power: Float, wavenumber: Float, start: float) -> None:
-    """Put line power (n, bands) at wavenumber [cycles/m] into the two arc bands about it: their centroid is exact."""
-    position = ARC_PER_OCTAVE * np.log2(np.maximum(wavenumber, 1e-9) / start)
-    low = np.floor(position).astype(int)
-    share = position - low
-    rows = np.broadcast_to(np.arange(len(out))[:, None], low.shape)
-    for index, weight in ((low, 1.0 - share), (low + 1, share)):
-        inside = (index >= 0) & (index < out.shape[1])
-        np.add.at(out, (rows[inside], index[inside]), (power * weight)[inside])

@@ -141,6 +141,9 @@ def _config(record: Mapping[str, Any]) -> FieldConfig:
         raise ValueError(f"unknown accumulation {config.accumulation!r} or emission {config.emission!r}")
     if min(config.hidden, config.layers, config.states) < 1 or config.arc_knots not in (0, *range(2, 1000)):
         raise ValueError("hidden, layers and states must be positive, arc_knots 0 or at least 2")
+    physical = config.physics and (config.emission, config.accumulation) == ("log", "past")
+    if config.line_gains and not (physical and config.carriers.arc_count):
+        raise ValueError("line gains need the linear contact, log emission, past states and arc carriers")
     return config
 
 

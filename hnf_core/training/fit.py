@@ -15,6 +15,7 @@ from torch import Tensor
 from ..field.features import DIRECTION_AT, build_inputs
 from ..field.field import FieldConfig, initial_parameters
 from ..field.linear_contact import Condition
+from ..field.lines import PRIOR_COLUMNS
 from ..material.mechanics import Mechanics
 from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, TOKEN_DIM
 from .conditions import Steady, speed_grid, withhold
@@ -86,13 +87,16 @@ def training_set(
     for variant in range(variants):
         mechanics = known if variant == 0 else [withhold(each, rng) for each in known]
         x = np.zeros((count, config.shapes()["layer0.weight"][1]), dtype=np.float32)
-        prior = np.zeros_like(gate)
+        prior = np.zeros((count, config.carriers.count + PRIOR_COLUMNS * config.line_gains), dtype=np.float32)
         for probe in sorted({stroke.probe for stroke in strokes}):
             rows = np.array([row for row, stroke in enumerate(strokes) if stroke.probe == probe])
             inputs = build_inputs(
                 condition_of([strokes[row] for row in rows], tokens, [mechanics[row] for row in rows]),
                 config.carriers,
                 config.physics,
+                config.action_octaves,
+                config.directed,
+                config.line_gains,
             )
             x[rows], prior[rows], gate[rows] = inputs.x, inputs.prior, inputs.gate
         xs.append(x)

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ..field.field import LOG_AMPLITUDE_CEILING, FieldConfig
+from ..field.lines import GAINS, LINES, SHIFTS, START_LOG
 
 
 def render_weights(sigma_dt: Tensor) -> Tensor:
@@ -55,15 +56,22 @@ class FieldNetwork(nn.Module):
         return head.reshape(len(head), config.alpha_heads, config.alpha_outputs), sigma_dt
 
     def emission(self, head: Tensor, prior: Tensor, gate: Tensor) -> Tensor:
-        """α (n, heads, K) from the α head, prior (n, K) and gate (n, K)."""
+        """α (n, heads, K) from the α head, prior (n, K; more with line gains, see Inputs) and gate (n, K)."""
         config, weights, alpha = self.config, self.weights, head
+        count = config.carriers.count
+        if config.line_gains:
+            alpha, gains = head[..., :-GAINS], head[:, 0, -GAINS:]
         if self.expansion is not None:
             first = config.carriers.arc_slice.start
             alpha = torch.cat([alpha[..., :first], alpha[..., first:] @ self.expansion.T], dim=-1)
         if config.physics:
-            alpha = alpha + (weights["skip"] * prior)[:, None, :]
+            alpha = alpha + (weights["skip"] * prior[:, :count])[:, None, :]
         if config.emission == "log":
             alpha = torch.exp(torch.clamp(alpha, max=LOG_AMPLITUDE_CEILING))
+        if config.line_gains:
+            first, arcs = config.carriers.arc_slice.start, config.carriers.arc_count
+            power = alpha[:, 0, first:].square() + line_power(gains, prior[:, count:], arcs)
+            alpha = torch.cat([alpha[:, 0, :first], power.sqrt()], dim=-1)[:, None, :]
         return alpha * gate[:, None, :]
 
     def forward(self, x: Tensor, prior: Tensor, gate: Tensor) -> tuple[Tensor, Tensor]:
@@ -78,6 +86,18 @@ class FieldNetwork(nn.Module):
     def parameters_numpy(self) -> dict[str, NDArray[np.float32]]:
         """Parameters under their names in FieldConfig.shapes."""
         return {name: self.weights[name.replace(".", "_")].detach().numpy().copy() for name in self.config.shapes()}
+
+
+def line_power(gains: Tensor, columns: Tensor, count: int) -> Tensor:
+    """Twin of field.lines.line_power: log gains (n, GAINS), prior columns (n, PRIOR_COLUMNS) → (n, count)."""
+    shift, start = torch.tensor(SHIFTS)[:, None], torch.tensor(START_LOG, dtype=torch.float32)[:, None]
+    gain = gains.reshape(len(gains), 1, len(SHIFTS), LINES) + start
+    level = columns[:, : 2 * LINES].reshape(-1, 2, 1, LINES)
+    power = torch.exp(2.0 * torch.clamp(gain + level, max=LOG_AMPLITUDE_CEILING))
+    index = columns[:, 2 * LINES :].long()[:, None, None, :] + shift + torch.arange(2)[:, None, None]
+    inside = (index >= 0) & (index < count)
+    power = torch.where(inside, power, 0.0).flatten(1)
+    return torch.zeros(len(gains), count).scatter_add(1, index.clamp(0, count - 1).flatten(1), power)
 
 
 def steady(alpha: Tensor, sigma_dt: Tensor) -> Tensor:

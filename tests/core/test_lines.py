@@ -1,0 +1,110 @@
+"""Tones apart from noise: together they are the linear contact, a gain moves one tone only, the twin is a twin."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from hnf_core.errors import WeightsError
+from hnf_core.field.carriers import ARC_PER_OCTAVE, Carriers
+from hnf_core.field.expected import steady_amplitudes
+from hnf_core.field.features import build_inputs
+from hnf_core.field.field import Field, FieldConfig, evaluate, initial_parameters, steady_amplitude
+from hnf_core.field.linear_contact import Condition, linear_contact
+from hnf_core.field.lines import GAINS, LINES, Lines, line_power, prior_columns
+from hnf_core.field.weights import load_field, save_field
+from hnf_core.material.library import find
+from hnf_core.material.mechanics import Mechanics
+
+CONFIG = FieldConfig(hidden=8, layers=1, line_gains=True)
+WOVEN = ("denim", "knurled-metal", "corduroy", "oak-wood")
+
+
+def condition() -> Condition:
+    rng = np.random.default_rng(3)
+    angle, count = rng.uniform(0.0, 2.0 * np.pi, 40), 40
+    material = np.arange(count, dtype=np.int32) % len(WOVEN)
+    entries = [find(name) for name in WOVEN]
+    return Condition(
+        tokens=np.stack([entries[m].token for m in material]).astype(np.float64),
+        mechanics=tuple(entry.mechanics for entry in entries),
+        material=material,
+        direction=np.stack([np.cos(angle), np.sin(angle)], axis=1),
+        speed=np.exp(rng.uniform(np.log(0.01), np.log(0.4), count)),
+        force=rng.uniform(0.2, 4.0, count),
+        contact=np.ones(count, dtype=bool),
+        probe="pen",
+    )
+
+
+def test_noise_and_tones_together_are_the_whole_contact():
+    linear, carriers = linear_contact(condition(), Carriers()), Carriers()
+    tones = line_power(np.zeros((40, GAINS)), prior_columns(linear.lines), carriers.arc_count, 6.0)
+    # Harmonics start at −25 and −30 dB of a tone.
+    assert np.all(linear.noise + tones >= 0.999 * linear.power)
+    assert tones.sum(axis=1) == pytest.approx((linear.power - linear.noise).sum(axis=1), rel=0.006, abs=1e-7)
+
+
+def test_an_untrained_field_with_line_gains_is_nearly_one_without():
+    plain = dataclasses.replace(CONFIG, line_gains=False)
+    power = [
+        np.square(steady_amplitude(config, evaluate(Field(config, initial_parameters(config, 0)), condition()))).sum()
+        for config in (CONFIG, plain)
+    ]
+    assert power[0] == pytest.approx(power[1], rel=0.01)
+
+
+def test_a_gain_moves_its_own_tone_and_nothing_else():
+    power = np.zeros((2, 1, LINES))
+    power[0, 0, 3], power[0, 0, 5] = 1.0, 4.0
+    low = np.full((1, LINES), -100)
+    low[0, 3], low[0, 5] = 40, 90
+    gains = np.zeros((1, GAINS))
+    before = line_power(gains, prior_columns(Lines(power, low)), 192, 6.0)[0]
+    gains[0, 3] = np.log(10.0)
+    after = line_power(gains, prior_columns(Lines(power, low)), 192, 6.0)[0]
+    changed = np.flatnonzero(np.abs(after - before) > 1e-9)
+    np.testing.assert_array_equal(changed, [40, 41])
+    assert (before[40], after[40], after[90]) == pytest.approx((1.0, 100.0, 4.0), rel=1e-6)
+    assert before[40 + ARC_PER_OCTAVE] == pytest.approx(10.0**-2.5, rel=1e-6)
+    assert before[40 + 38] == pytest.approx(10.0**-3.0, rel=1e-6)
+
+
+def test_tones_out_of_reach_are_dropped():
+    low = np.array([[-1, 191, 192, 500, -30] + [0] * (LINES - 5)])
+    out = line_power(np.zeros((1, GAINS)), prior_columns(Lines(np.ones((2, 1, LINES)), low)), 192, 6.0)
+    assert np.isfinite(out).all()
+    assert out[0, 191] == pytest.approx(1.0, rel=0.02)
+
+
+def test_the_torch_twin_equals_numpy():
+    torch = pytest.importorskip("torch")
+    from hnf_core.training.model import FieldNetwork
+
+    parameters = {
+        name: value + np.random.default_rng(1).normal(0.0, 0.05, value.shape).astype(np.float32)
+        for name, value in initial_parameters(CONFIG, 2).items()
+    }
+    inputs = build_inputs(condition(), CONFIG.carriers, True, line_gains=True)
+    with torch.no_grad():
+        twin = FieldNetwork(CONFIG, parameters).steady_amplitude(
+            *(torch.tensor(a, dtype=torch.float32) for a in (inputs.x, inputs.prior, inputs.gate))
+        )
+    numpy = steady_amplitude(CONFIG, evaluate(Field(CONFIG, parameters), condition()))[:, 0]
+    np.testing.assert_allclose(twin.numpy(), numpy, rtol=1e-4, atol=1e-6 * numpy.max())
+
+
+def test_weights_with_line_gains_round_trip_and_nonsense_is_refused(tmp_path):
+    path = tmp_path / "w.safetensors"
+    save_field(path, Field(CONFIG, initial_parameters(CONFIG, 0)))
+    entry = find("denim")
+    assert load_field(path).config == CONFIG
+    assert np.isfinite(
+        steady_amplitudes(load_field(path), entry.token, Mechanics(), "finger", (1.0, 0.0), 0.1, 1.0)
+    ).all()
+    wrong = dataclasses.replace(CONFIG, physics=False)
+    save_field(path, Field(wrong, initial_parameters(wrong, 0)))
+    with pytest.raises(WeightsError):
+        load_field(path)
