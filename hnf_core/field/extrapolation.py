@@ -77,14 +77,13 @@ def examine(field: Field, stroke: StrokeInput, action: Action) -> tuple[float, t
 
 
 def at_ceiling(config: FieldConfig, loudest: float) -> tuple[str, ...]:
-    """A warning where the field's output was held at its ceiling (field.LOG_AMPLITUDE_CEILING), which no real touch
+    """A warning where the field's output nears or was held at its ceiling (field.LOG_AMPLITUDE_CEILING), which no real touch
     comes near. loudest: its largest accumulated amplitude, m/s²; memory's weights leave some 10 % of a ceiling off."""
     ceiling = float(np.exp(LOG_AMPLITUDE_CEILING))
     if config.emission != "log" or loudest < CEILING_SHARE * ceiling:
         return ()
-    return (
-        f"The field asks for {_plain(ceiling)} m/s² or more in one band and is held there: no touch is so loud.",
-    )
+    held = f"its output is held at {_plain(ceiling)} m/s²; no touch is so loud"
+    return (f"The field comes to {_plain(loudest)} m/s² in one band, where {held}.",)
 
 
 def _span(name: str, unit: str, scale: float, values: Float, limits: tuple[float, float]) -> Iterator[Remark]:
