@@ -229,11 +229,11 @@ def block_errors(field: Field, stroke: StrokeInput, size: int, start: int, count
 
 def rate_errors(field: Field, stroke: StrokeInput, rates: Sequence[float] = RATES) -> Iterator[tuple[float, float]]:
     """(rate, largest difference [dB]) of Welch spectra between the output at each rate and at the model's: bins of
-    10 Hz (of 5 Hz where a tenth of a second is no whole number of samples) up to 1 kHz or 0.45 of the rate."""
+    10 Hz (of 2.5 Hz where a tenth of a second is no even number of samples) up to 1 kHz or 0.45 of the rate."""
     model = synthesise(field, stroke, seed=1).signal
     for rate in rates:
         other = synthesise(field, stroke, seed=1, sample_rate=rate).signal
-        window_s = 0.1 if (rate / 10.0).is_integer() else 0.2
+        window_s = 0.1 if (rate / 20.0).is_integer() else 0.4
         (frequency, first), (_, second) = (
             welch(signal.samples, signal.sample_rate, round(window_s * signal.sample_rate)) for signal in (model, other)
         )
@@ -344,7 +344,10 @@ def main(arguments: Sequence[str]) -> int:
     field = load_field()
     table(
         ("blocks of", "difference from the whole, over its RMS"),
-        ((str(size), f"{block_errors(field, wandering_stroke(3.0), size, 9000, 2000):.1e}") for size in BLOCK_SIZES),
+        (
+            (str(size), f"{block_errors(field, wandering_stroke(3.0), size, 9000, min(64 * size, 4000)):.1e}")
+            for size in BLOCK_SIZES
+        ),
     )
     table(
         ("output rate", "largest difference below 1 kHz (or 0.45 of the rate)"),

@@ -11,18 +11,18 @@ from ..errors import UsageError
 
 Float = NDArray[np.float64]
 
-HALF_WIDTH = 48
+HALF_WIDTH = 64
 """Zero crossings on either side."""
 KAISER_BETA = 9.0
 """About −90 dB in the stop band (Kaiser 1974)."""
-ROLL_OFF = 0.94
-"""Cut-off as a share of the lower of both Nyquist frequencies."""
+ROLL_OFF = 0.95
+"""Cut-off as a share of the lower of both Nyquist frequencies. With these three, flat to 0.9 of it."""
 
 
 def resample(samples: Float, rate_in: float, rate_out: float) -> tuple[Float, tuple[str, ...]]:
     """samples (n,) from rate_in to rate_out [Hz]; also warnings in words where the new rate cannot hold the touch band.
 
-    Below 0.85 of the lower Nyquist frequency amplitudes are kept within 0.01 dB. Raises UsageError for a rate that is
+    Below 0.9 of the lower Nyquist frequency amplitudes are kept within 0.01 dB. Raises UsageError for a rate that is
     not positive and finite.
     """
     if not (np.isfinite(rate_out) and rate_out > 0.0):
