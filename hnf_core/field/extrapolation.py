@@ -77,8 +77,10 @@ def examine(field: Field, stroke: StrokeInput, action: Action) -> tuple[float, t
 
 
 def at_ceiling(config: FieldConfig, loudest: float) -> tuple[str, ...]:
-    """A warning where the field's output nears or was held at its ceiling (field.LOG_AMPLITUDE_CEILING), which no real touch
-    comes near. loudest: its largest accumulated amplitude, m/s²; memory's weights leave some 10 % of a ceiling off."""
+    """A warning where the field's output nears its ceiling, LOG_AMPLITUDE_CEILING, or was held there.
+
+    loudest: its largest accumulated amplitude, m/s²; memory's weights may leave some of a ceiling off.
+    """
     ceiling = float(np.exp(LOG_AMPLITUDE_CEILING))
     if config.emission != "log" or loudest < CEILING_SHARE * ceiling:
         return ()
