@@ -27,6 +27,9 @@ Float = NDArray[np.float64]
 TILES = 2
 """A patch is so many library tiles wide: its period of 40 mm puts the lines of a straight stroke closer together than a
 100 ms window resolves, up to 0.4 m/s."""
+TURN_RAD = (np.radians(1.0), np.radians(2.0))
+"""By how much the surface lies turned under a stroke, one way or the other. A straight stroke along the tile would else
+meet the same 40 mm again and again; so each time round it runs 0.7 to 1.4 mm beside."""
 PATCHES = 4
 """Different patches in one call, so that no single one stands for the material."""
 SETTLE_S = 0.06
@@ -57,6 +60,8 @@ class SimulatedProcess:
             raise UsageError("the actions of one call must be equally long.")
         patches = [self._patch(seed, index) for index in range(min(PATCHES, len(actions)))]
         starts = _generator(seed, 0).uniform(0.0, TILES * TILE_SIZE_M, (len(actions), 2))
+        turns = _generator(seed, 2).uniform(*TURN_RAD, (len(actions), 2))
+        turns = turns[:, 0] * np.where(turns[:, 1] < np.mean(TURN_RAD), -1.0, 1.0)
         # Side by side: one probe per batch, and rows that share what a patch has smoothed.
         order = sorted(
             range(len(actions)),
@@ -66,7 +71,7 @@ class SimulatedProcess:
         for rows in _batches(order, actions):
             acceleration = simulate_batch(
                 [patches[row % PATCHES] for row in rows],
-                [stroke_of(actions[row], starts[row]) for row in rows],
+                [stroke_of(actions[row], starts[row], float(turns[row])) for row in rows],
                 [self.mechanics] * len(rows),
                 PROBES[actions[rows[0]].probe],
             )[:, round(SETTLE_S * SAMPLE_RATE_HZ) :]
@@ -113,8 +118,8 @@ class SimulatedLibrary(DataSet):
         return next(material for material in load_library() if material.name == known)
 
 
-def stroke_of(action: Action, start_m: Float) -> Stroke:
-    """The action's path from start_m (x, y), at 10 kHz, with SETTLE_S of its first state ahead.
+def stroke_of(action: Action, start_m: Float, turn_rad: float = 0.0) -> Stroke:
+    """The action's path from start_m (x, y), turned by turn_rad, at 10 kHz, with SETTLE_S of its first state ahead.
 
     Between action samples speed, direction and force are cubic (R. G. Keys 1981, IEEE Trans. ASSP 29): straight pieces
     would ring the contact at every corner. Out of contact the force is 0.
@@ -123,6 +128,8 @@ def stroke_of(action: Action, start_m: Float) -> Stroke:
     place = np.maximum(np.arange(-ahead, count) / SAMPLE_RATE_HZ * action.rate, 0.0)
     force = np.where(_touching(action, place), np.maximum(_cubic(action.force, place), 0.0), 0.0)
     velocity = np.stack([_cubic(action.speed * axis, place) for axis in action.direction.T], axis=1)
+    cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
+    velocity = velocity @ np.array([[cosine, sine], [-sine, cosine]])
     travelled = np.cumsum(velocity, axis=0) / SAMPLE_RATE_HZ
     return Stroke(np.asarray(start_m) + travelled - travelled[ahead], force)
 

@@ -57,6 +57,20 @@ def test_a_call_gives_what_each_action_gives_alone_and_a_seed_is_a_new_draw():
     assert rms(together[2].samples) < 0.7 * rms(together[1].samples)  # the finger's pad is soft
 
 
+@pytest.mark.parametrize("angle", [0.0, np.pi / 4])
+def test_a_straight_stroke_does_not_meet_the_same_surface_twice(angle):
+    period = 0.04 * (np.sqrt(2.0) if angle else 1.0)
+    samples = ROUGH.record([steady_action(0.9, 0.1, 1.0, angle_rad=angle)], 4)[0].samples
+    lag = round(period / 0.1 * 10_000)
+    assert abs(np.corrcoef(samples[:-lag], samples[lag:])[0, 1]) < 0.2
+
+
+def test_the_path_can_be_turned():
+    action = steady_action(1.0, 0.1, 1.0)
+    end = stroke_of(action, np.zeros(2), 0.3).position[-1]
+    np.testing.assert_allclose(end, 0.1 * np.array([np.cos(0.3), np.sin(0.3)]), rtol=1e-3)
+
+
 def test_the_gratings_tone_follows_speed():
     process = SimulatedProcess(
         "grating", SurfaceRecipe(lattices=(grating(5e-6, 1e-3, harmonic=0.0),)), Mechanics(1e5, 0.2, 0.3)
