@@ -19,8 +19,11 @@ if TYPE_CHECKING:
     from ..training.material import Trained
 
 STROKE_S = 5.0
-SLOWER, LIGHTER = 0.6, 0.6
+FADE = 0.6
 """How far below the least speed and force of a model's data strokes go: hands do, and the model fades there."""
+USUAL_SPEED_M_S, USUAL_FORCE_N = (0.03, 0.2), (0.3, 3.0)
+USUAL = 0.7
+"""Share of strokes that keep to where hands mostly are; the others go wherever the data reach."""
 LICENCES = {
     "hatt": "trained on the Penn Haptic Texture Toolkit: non-profit research only, not to be redistributed",
     "cluster": "trained on the Cluster Haptic Texture Database (CC BY 4.0, doi 10.6084/m9.figshare.29438288)",
@@ -98,16 +101,24 @@ def gather(data: DataSet, name: str, seconds: float, seed: int, source: str | No
     if not STROKE_S <= seconds < 1e5:
         raise UsageError(f"--seconds {seconds:g}: give at least {STROKE_S:g}.", remedy="480 is plenty.")
     limits = data.action_range(name)
-    (slowest, fastest), (lightest, hardest) = limits.speed_m_s, limits.force_n
+    speed, force = ((FADE * low, high) for low, high in (limits.speed_m_s, limits.force_n))
+    count = round(seconds / STROKE_S)
     actions = [
         wandering_action(
             STROKE_S, seed * 100_003 + index,
-            speed_m_s=(SLOWER * slowest, fastest), force_n=(LIGHTER * lightest, hardest),
+            speed_m_s=_within(speed, USUAL_SPEED_M_S) if index < USUAL * count else speed,
+            force_n=_within(force, USUAL_FORCE_N) if index < USUAL * count else force,
             angle_rad=limits.angle_rad,
         )
-        for index in range(round(seconds / STROKE_S))
+        for index in range(count)
     ]  # fmt: skip
     return process.record(actions, seed)
+
+
+def _within(limits: tuple[float, float], usual: tuple[float, float]) -> tuple[float, float]:
+    """The part of both, or limits where they have none (at least a factor of 1.5) in common."""
+    low, high = max(limits[0], usual[0]), min(limits[1], usual[1])
+    return (low, high) if high >= 1.5 * low else limits
 
 
 def _open(words: list[str]) -> tuple[str, DataSet]:

@@ -98,7 +98,8 @@ def test_bands_above_a_low_rate_are_not_heard_and_not_played() -> None:
     samples = np.random.default_rng(0).standard_normal(round(action.duration_s * 1000))
     slow = Recording(action, samples, 1000.0, "slow", "slow")
     _, windows = cut([slow])
-    assert windows.heard[:44].all() and not windows.heard[46:].any()
+    assert windows.heard[:44].all()
+    assert not windows.heard[46:].any()
     field = train_material([slow], SMALL, 0, schedule=SHORT).field
     high = expected_spectrum(field, NO_TOKEN, UNKNOWN, "pen", (1.0, 0.0), 0.1, 1.0, np.linspace(600.0, 4900.0, 200))
     low = expected_spectrum(field, NO_TOKEN, UNKNOWN, "pen", (1.0, 0.0), 0.1, 1.0, np.linspace(50.0, 400.0, 200))
@@ -157,7 +158,8 @@ def test_a_field_that_never_heard_of_direction_ignores_it(minute: list[Recording
         for d in ((1.0, 0.0), (0.0, -1.0))
     )
     np.testing.assert_array_equal(across, along)
-    assert record["material"] == "noise" and record["test"]["windows"] == 10
+    assert record["material"] == "noise"
+    assert record["test"]["windows"] == 10
 
 
 def test_same_seed_same_weights_other_seed_others(minute: list[Recording]) -> None:
@@ -167,7 +169,7 @@ def test_same_seed_same_weights_other_seed_others(minute: list[Recording]) -> No
     assert any(not np.array_equal(first.field.parameters[n], other.field.parameters[n]) for n in first.field.parameters)
 
 
-class Killed(Exception):
+class KilledError(Exception):
     pass
 
 
@@ -176,9 +178,9 @@ def test_a_killed_run_goes_on_to_the_same_bytes(minute: list[Recording], tmp_pat
 
     def kill(epoch: int, epochs: int, loss: float) -> None:
         if epoch == 2:
-            raise Killed
+            raise KilledError
 
-    with pytest.raises(Killed):
+    with pytest.raises(KilledError):
         train_material(minute[:2], SMALL, 0, schedule=SHORT, checkpoint=path, watch=kill)
     assert path.exists()
     seen: list[int] = []
@@ -186,7 +188,8 @@ def test_a_killed_run_goes_on_to_the_same_bytes(minute: list[Recording], tmp_pat
         minute[:2], SMALL, 0, schedule=SHORT, checkpoint=path, watch=lambda epoch, epochs, loss: seen.append(epoch)
     )
     whole = train_material(minute[:2], SMALL, 0, schedule=SHORT)
-    assert seen == [3, 4] and not path.exists()
+    assert seen == [3, 4]
+    assert not path.exists()
     np.testing.assert_array_equal(resumed.history, whole.history)
     for name, value in whole.field.parameters.items():
         np.testing.assert_array_equal(value, resumed.field.parameters[name])
@@ -196,9 +199,9 @@ def test_a_checkpoint_of_another_run_or_a_damaged_one_is_not_taken_up(minute: li
     path = tmp_path / "run.checkpoint"
 
     def kill(epoch: int, epochs: int, loss: float) -> None:
-        raise Killed
+        raise KilledError
 
-    with pytest.raises(Killed):
+    with pytest.raises(KilledError):
         train_material(minute[:2], SMALL, 0, schedule=SHORT, checkpoint=path, watch=kill)
     seen: list[int] = []
     train_material(
@@ -217,5 +220,6 @@ def test_early_stopping_keeps_the_best_epoch(minute: list[Recording]) -> None:
     best = int(np.argmin(trained.history[:, 2]))
     assert len(trained.history) == best + 1 + 4 < 60
     states, windows = cut(minute[:1])
-    assert np.isfinite(trained.test.loss) and np.sum(windows.role == TRAIN) == 75
+    assert np.isfinite(trained.test.loss)
+    assert np.sum(windows.role == TRAIN) == 75
     assert len(states.speed) == len(minute[0].action.speed)
