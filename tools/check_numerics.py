@@ -351,7 +351,7 @@ def main(arguments: Sequence[str]) -> int:
     )
     table(
         ("output rate", "largest difference below 1 kHz (or 0.45 of the rate)"),
-        ((f"{rate:g} Hz", f"{worst:.4f} dB") for rate, worst in rate_errors(field, wandering_stroke(8.0))),
+        ((f"{rate:g} Hz", f"{worst:.0e} dB") for rate, worst in rate_errors(field, wandering_stroke(8.0))),
     )
     if options.minutes:
         table(("streaming", "figure"), stream_figures(field, options.minutes))

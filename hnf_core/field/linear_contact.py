@@ -24,6 +24,8 @@ Float = NDArray[np.float64]
 SPEED_FLOOR_M_S = 1e-3
 """Below it the input stops at the floor and the emission falls linearly, so that v → 0 is defined and silent."""
 FORCE_FLOOR_N = 0.02
+BAND_END_HZ = 4800.0
+"""Nothing that moves with the hand sounds above it; the model rate holds 5 kHz."""
 HAND_STIFFNESS_N_M = 500.0
 HAND_DAMPING_RATIO = 0.4
 """Lateral impedance of a hand that holds a tool (A. Z. Hajian & R. D. Howe 1997, J. Biomech. Eng. 119)."""
@@ -74,8 +76,8 @@ def arc_gain(wavenumber: Float, speed: Float) -> Float:
 
 
 def upper_fade(frequency: Float) -> Float:
-    """1 below 4 kHz, 0 above 4.8 kHz: no aliasing at the model rate."""
-    return np.asarray(1.0 - _smoothstep((frequency - 4000.0) / 800.0))
+    """1 below 4 kHz, 0 from BAND_END_HZ on: no aliasing at the model rate."""
+    return np.asarray(1.0 - _smoothstep((frequency - 4000.0) / (BAND_END_HZ - 4000.0)))
 
 
 def linear_contact(condition: Condition, carriers: Carriers) -> LinearContact:

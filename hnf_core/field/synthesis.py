@@ -19,7 +19,7 @@ from .carriers import MODEL_RATE_HZ, Carriers
 from .contact_filter import LEAD, TAIL, FilterBank, filter_bank
 from .extrapolation import at_ceiling, examine
 from .field import Field, accumulate, evaluate
-from .linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition, upper_fade
+from .linear_contact import BAND_END_HZ, FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition, upper_fade
 from .modulation import arc_term, interpolate, time_term
 from .profile import ProfileBands, share_power, split_profile
 from .resampling import resample
@@ -89,8 +89,8 @@ def prepare(field: Field, stroke: StrokeInput, *, seed: int) -> Prepared:
     carriers = field.config.carriers
     amplitude = amplitudes(field, condition)
     loudest = float(np.max(np.abs(amplitude), initial=0.0))
-    fade = reading_fade(action, carriers)
-    amplitude[:, :, carriers.arc_slice] *= (fade > 0.0)[:, None, :]
+    # The field's own gate answers to the speed of each state, but its memory is read at the speed of now.
+    amplitude[:, :, carriers.arc_slice] *= (reading_frequency(action, carriers) < BAND_END_HZ)[:, None, :]
     pressed = np.where(action.contact, action.force, 0.0)
     bank = filter_bank(stroke.mechanics, token_index, pressed, action.probe)
     bands, profile_amplitude = None, None
@@ -98,7 +98,8 @@ def prepare(field: Field, stroke: StrokeInput, *, seed: int) -> Prepared:
         bands = split_profile(stroke.profile, carriers)
         shares = share_power(amplitude[:, 0], bands, condition, carriers)
         sliding = condition.contact & (condition.force > FORCE_FLOOR_N) & (condition.speed > SPEED_FLOOR_M_S)
-        profile_amplitude = held(shares.profile * _tip(condition, carriers), sliding) * fade
+        profile_amplitude = held(shares.profile * _tip(condition, carriers), sliding)
+        profile_amplitude *= upper_fade(reading_frequency(action, carriers))
         amplitude[:, :, carriers.arc_slice] *= shares.arc[:, None, :]
         amplitude[:, :, carriers.time_slice] *= shares.time[:, None, :]
     return Prepared(
@@ -112,24 +113,23 @@ def amplitudes(field: Field, condition: Condition) -> Float:
     than its result."""
     count, config = len(condition.speed), field.config
     memory = config.stride * (config.states - 1)
-    parts = []
+    out = np.empty((count, config.alpha_heads, config.carriers.count))
     for start in range(0, count, STATES_AT_ONCE):
         first = max(start - memory, 0)
-        rows = slice(first, start + STATES_AT_ONCE)
-        parts.append(accumulate(config, evaluate(field, states_in(condition, rows)))[start - first :])
-    return np.concatenate(parts)
+        part = states_in(condition, slice(first, start + STATES_AT_ONCE))
+        out[start : start + STATES_AT_ONCE] = accumulate(config, evaluate(field, part))[start - first :]
+    return out
 
 
-def reading_fade(action: Action, carriers: Carriers) -> Float:
-    """(n, Ka) 1 … 0: what κ · |ds/dt| leaves of each band, by the fastest motion within two states.
+def reading_frequency(action: Action, carriers: Carriers) -> Float:
+    """(n, Ka) Hz at which each arc band is read: κ · |ds/dt|, by the fastest motion within two states.
 
-    The field's own gate answers to the speed of each state, but its memory is read at the speed of now, and a height
-    profile has no gate: past 4.8 kHz a band would alias, and a jump of the hand would ask for metres of micrometres.
+    Past BAND_END_HZ a band would alias, and a jump of the hand would ask for metres of micrometres.
     """
     travel = np.abs(np.diff(action.position)) * ACTION_RATE_HZ
     around = np.pad(travel, 2)
     fastest = np.max([around[k : k + len(action.position)] for k in range(4)], axis=0)
-    return upper_fade(fastest[:, None] * carriers.arc_centres())
+    return np.asarray(fastest[:, None] * carriers.arc_centres())
 
 
 def render_block(prepared: Prepared, start: int, count: int) -> Float:
