@@ -1,6 +1,6 @@
 """Hold the contact simulator against recorded textures; measure its ablations and its speed. Prints Markdown.
 
-Usage: python tools/check_simulator.py [--instances N] [--first-seed S] [--only CATEGORY …] [--classes] [--write]
+Usage: python tools/check_simulator.py [--instances N] [--first-seed S] [--only CATEGORY …] [--classes] [--speed] [--write]
 
 --write puts the three tables into docs/simulator.md, between its markers.
 """
@@ -8,7 +8,10 @@ Usage: python tools/check_simulator.py [--instances N] [--first-seed S] [--only 
 from __future__ import annotations
 
 import argparse
+import os
+import re
 import sys
+import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -20,10 +23,13 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tools")]
 
 from recorded_ranges import RECORDED, instrument, within  # noqa: E402
+from simulator_ablations import rows as ablations  # noqa: E402
 
+from hnf_core.files import write_text  # noqa: E402
 from hnf_core.simulation.classes import classes, instance, recorded_category_of  # noqa: E402
 from hnf_core.simulation.feel import Feel, stroked, summed  # noqa: E402
 from hnf_core.simulation.sampling import SmoothedMaps  # noqa: E402
+from hnf_core.simulation.simulate import simulate_batch, straight_stroke  # noqa: E402
 from hnf_core.simulation.surface import height_map  # noqa: E402
 
 FIRST_SEED = 1000
@@ -115,6 +121,47 @@ def show_classes(
         print(f"{name:18}{spread}  {({key: n for key, n in misses.items() if n}) or ''}", flush=True)
 
 
+SPEED_ROWS, SPEED_SECONDS = 192, 1.0
+
+
+def timed(worker: int) -> tuple[float, float]:
+    """Wall and CPU seconds of one batch: sixteen surfaces, twelve strokes each, sampling of the maps included."""
+    surfaces = []
+    for name in classes()[worker::2][:16]:
+        recipe, mechanics = instance(name, 0)
+        surfaces.append((SmoothedMaps(height_map(recipe, 0)), mechanics))
+    each = SPEED_ROWS // len(surfaces)
+    rows = [(maps, mechanics, k) for maps, mechanics in surfaces for k in range(each)]
+    strokes = [straight_stroke(0.02 * (1 + k), 1.0, SPEED_SECONDS, angle_rad=0.5 * k) for _, _, k in rows]
+    wall, cpu = time.perf_counter(), time.process_time()
+    simulate_batch([maps for maps, _, _ in rows], strokes, [mechanics for _, mechanics, _ in rows])
+    return time.perf_counter() - wall, time.process_time() - cpu
+
+
+def speed_table() -> str:
+    """Seconds of signal per second, two processes side by side."""
+    load = os.getloadavg()[0]
+    with ProcessPoolExecutor(2, mp_context=get_context("fork")) as pool:
+        walls, cpus = zip(*pool.map(timed, range(2)), strict=True)
+    signal = 2 * SPEED_ROWS * SPEED_SECONDS
+    rows = [
+        [f"wall clock, two processes, load {load:.1f} before on {os.cpu_count()} cores", f"{signal / max(walls):.0f}×"],
+        ["CPU time, per core", f"{signal / sum(cpus):.0f}×"],
+    ]
+    return markdown(["measured by", f"real time ({2 * SPEED_ROWS} strokes of {SPEED_SECONDS:g} s)"], rows)
+
+
+def fill(document: Path, tables: dict[str, str]) -> None:
+    """Put each table between its markers <!-- name --> … <!-- /name -->."""
+    text = document.read_text(encoding="utf-8")
+    for name, table in tables.items():
+        start, end = f"<!-- {name} -->", f"<!-- /{name} -->"
+        if start not in text or end not in text:
+            raise SystemExit(f"{document}: the markers {start} and {end} are missing; put them back.")
+        text = re.sub(f"{start}.*?{end}", lambda _, a=start, b=end, c=table: f"{a}\n{c}\n{b}", text, flags=re.DOTALL)
+    write_text(document, text)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--instances", type=int, default=8, help="per class")
@@ -122,10 +169,27 @@ def main() -> int:
     parser.add_argument("--only", nargs="*", default=[], help="categories")
     parser.add_argument("--classes", action="store_true", help="every class as well")
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--speed", action="store_true", help="nothing but the speed")
     parser.add_argument("--write", action="store_true", help="into docs/simulator.md")
     a = parser.parse_args()
-    print("\n\n".join(ranges_tables(a.instances, a.first_seed, a.only, a.classes, a.workers)))
+    if a.speed:
+        tables = {"speed": speed_table()}
+    else:
+        tables = all_tables(a)
+    print("\n\n".join(tables.values()))
+    if a.write:
+        fill(ROOT / "docs" / "simulator.md", tables)
     return 0
+
+
+def all_tables(a: argparse.Namespace) -> dict[str, str]:
+    recorded, alone = ranges_tables(a.instances, a.first_seed, a.only, a.classes, a.workers)
+    seeds = f"{a.instances} instances per class, seeds {a.first_seed}–{a.first_seed + a.instances - 1}."
+    tables = {"recorded": f"{seeds}\n\n{recorded}", "alone": alone}
+    if not a.only:
+        tables["ablations"] = markdown(["part", "statistic", "measured", "what the model says"], ablations())
+        tables["speed"] = speed_table()
+    return tables
 
 
 if __name__ == "__main__":

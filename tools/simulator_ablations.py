@@ -5,6 +5,7 @@ Used by tools/check_simulator.py for docs/simulator.md, and by tests/core/test_s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,6 @@ from numpy.typing import NDArray
 
 from hnf_core.material.mechanics import PROBES, Mechanics, Probe
 from hnf_core.simulation.feel import spectra
-from hnf_core.simulation.integrate import Motion
 from hnf_core.simulation.sampling import SmoothedMaps
 from hnf_core.simulation.simulate import (
     SAMPLE_RATE_HZ,
@@ -52,32 +52,36 @@ def centroid_with_tip(radius_m: float) -> float:
     probe = replace(PEN, tip_radius_m=radius_m)
     held = replace(WOOD, stiffness_n_m=1.0e5 * (PEN.tip_radius_m / radius_m) ** (1.0 / 3.0))
     surface = SmoothedMaps(height_map(ROUGH.scaled(0.05), 1))
-    strokes = [straight_stroke(0.1, 1.0, 0.55, angle_rad=angle) for angle in ANGLES]
+    strokes = [straight_stroke(0.1, 1.0, 0.35, angle_rad=angle) for angle in ANGLES]
     acceleration = simulate_batch([surface] * 4, strokes, [held] * 4, probe)[:, 500:, 2]
     power = np.square(np.abs(np.fft.rfft(acceleration * np.hanning(acceleration.shape[1]), axis=1))).mean(axis=0)
     frequency = np.fft.rfftfreq(acceleration.shape[1], 1.0 / SAMPLE_RATE_HZ)
     return float((power * frequency)[frequency >= 10.0].sum() / power[frequency >= 10.0].sum())
 
 
-def slow_pull(speed_m_s: float, law: str, seconds: float = 0.8, probe: Probe = PEN) -> Motion:
-    """Pulled from rest over a flat surface at 1 N by the hand's spring."""
+def slow_pull(speeds_m_s: Sequence[float], law: str, seconds: float = 1.6) -> Float:
+    """Velocity (speeds, steps) of the pen's tip, pulled from rest over a flat surface at 1 N by the hand's spring; the
+    second half of `seconds`."""
     n = round(seconds * SAMPLE_RATE_HZ)
-    pace = speed_m_s * np.minimum(np.arange(n) / (0.05 * SAMPLE_RATE_HZ), 1.0)
-    position = np.stack([np.cumsum(pace) / SAMPLE_RATE_HZ, np.zeros(n)], axis=1)
-    return simulate_motion([FLAT], [Stroke(position, np.ones(n))], [WOOD], probe, physics=Physics(friction=law))
+    start = np.minimum(np.arange(n) / (0.05 * SAMPLE_RATE_HZ), 1.0)
+    strokes = [
+        Stroke(np.stack([np.cumsum(v * start) / SAMPLE_RATE_HZ, np.zeros(n)], axis=1), np.ones(n)) for v in speeds_m_s
+    ]
+    rows = len(strokes)
+    motion = simulate_motion([FLAT] * rows, strokes, [WOOD] * rows, physics=Physics(friction=law))
+    return motion.sliding_m_s[len(motion.sliding_m_s) // 2 :, 0].T
 
 
-def stuck_share(motion: Motion, speed_m_s: float) -> float:
-    """Share of the second half in which the tip moves at less than a fifth of the hand's speed."""
-    sliding = motion.sliding_m_s[:, 0, 0]
-    return float(np.mean(np.abs(sliding[len(sliding) // 2 :]) < 0.2 * speed_m_s))
+def stuck_share(sliding: Float, speed_m_s: float) -> float:
+    """Share of the time in which the tip moves at less than a fifth of the hand's speed."""
+    return float(np.mean(np.abs(sliding) < 0.2 * speed_m_s))
 
 
-def slips_per_second(motion: Motion, speed_m_s: float, seconds: float = 0.8) -> float:
-    """Times per second that the tip breaks away, in the second half."""
-    sliding = motion.sliding_m_s[:, 0, 0]
-    fast = sliding[len(sliding) // 2 :] > 2.0 * speed_m_s
-    return float(np.sum(fast[1:] & ~fast[:-1]) / (0.5 * seconds))
+def slips_per_second(sliding: Float, speed_m_s: float) -> float:
+    """Times per second that the tip breaks away, from the first break to the last."""
+    fast = sliding > 2.0 * speed_m_s
+    breaks = np.flatnonzero(fast[1:] & ~fast[:-1])
+    return float((len(breaks) - 1) / ((breaks[-1] - breaks[0]) / (2.0 * SAMPLE_RATE_HZ))) if len(breaks) > 1 else 0.0
 
 
 def level_db(law: str) -> float:
@@ -99,7 +103,7 @@ def flight_and_skewness(unilateral: bool) -> tuple[float, float]:
 
 def ring_hz(mass_kg: float) -> float:
     """Frequency [Hz] at which the probe rings after a step of force from 1.0 to 1.1 N: sqrt(k/m) / 2π."""
-    n = 4000
+    n = 2500
     force = np.where(np.arange(n) < 500, 1.0, 1.1)
     stroke = Stroke(np.zeros((n, 2)), force)
     normal = simulate(FLAT, stroke, replace(WOOD, damping_ratio=0.03), replace(PEN, mass_kg=mass_kg))[520:, 2]
@@ -110,9 +114,11 @@ def ring_hz(mass_kg: float) -> float:
 def rows() -> list[tuple[str, str, str, str]]:
     """(part, statistic, figures, what the cited model says) for docs/simulator.md."""
     tips = [centroid_with_tip(r) for r in (0.25e-3, 0.5e-3, 1e-3, 2e-3)]
-    stuck = [stuck_share(slow_pull(2e-3, law), 2e-3) for law in ("lugre", "coulomb")]
-    slips = [slips_per_second(slow_pull(v, "lugre", 1.6), v, 1.6) for v in (1e-3, 2e-3, 4e-3)]
-    fast = [stuck_share(slow_pull(v, "lugre"), v) for v in (0.02, 0.1)]
+    slow, quick = (1e-3, 2e-3, 4e-3), (0.02, 0.1)
+    pulled = slow_pull((*slow, *quick), "lugre", 2.4)
+    stuck = [stuck_share(pulled[1], 2e-3), stuck_share(slow_pull([2e-3], "coulomb")[0], 2e-3)]
+    slips = [slips_per_second(sliding, v) for sliding, v in zip(pulled, slow, strict=False)]
+    fast = [stuck_share(sliding, v) for sliding, v in zip(pulled[3:], quick, strict=True)]
     levels = [level_db(law) for law in ("lugre", "coulomb")]
     loss = [flight_and_skewness(unilateral) for unilateral in (True, False)]
     rings = [ring_hz(m) for m in (0.0175, 0.035, 0.07, 0.14)]
