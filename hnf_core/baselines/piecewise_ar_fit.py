@@ -29,13 +29,17 @@ Float = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 MAX_ORDER = 24
-GRIDS = ((2, 1), (3, 2), (5, 3), (7, 4), (9, 6), (12, 8), (16, 10))
+GRIDS = ((2, 1), (3, 2), (5, 3), (7, 4), (10, 6), (14, 9), (18, 12), (22, 15))
 """Speeds × forces to choose from, beside the axes."""
 START_PIECES = 100
-PIECES_PER_MODEL = 8
+PIECES_PER_MODEL = (8, 250)
+"""Fewer cannot carry a model, with more a finer grid is better (both seen on HaTT): other grids are not tried."""
 HELD_OUT = 10
 ITERATIONS = 60
 TRIAL_ITERATIONS = 30
+SILENT = 1e-4
+"""Of the median power: less is silence (HaTT's own models are silent where nobody recorded), of which a likelihood
+without a floor would learn nothing but how silent."""
 INWARD = 0.9998
 """Radius by which every pole of a start is drawn in: a pure tone would put one on the circle, where LSFs meet."""
 LEVEL_STEP, GAP_STEP = 1.0, 0.2
@@ -57,7 +61,7 @@ class Grid:
 
 
 def make_grid(pieces: Pieces, speeds: int, forces: int) -> Grid:
-    """Geometric in speed and force, from the smallest to the largest piece, closed by silent vertices on the axes."""
+    """Even in the roots of speed and force, from the least to the greatest piece, closed by silence on the axes."""
     v, f = (_levels(values, count) for values, count in ((pieces.speed, speeds), (pieces.force, forces)))
     models = np.stack(np.meshgrid(v, f, indexing="ij"), axis=-1).reshape(-1, 2)
     rows, columns = np.meshgrid(np.arange(len(v) + 1), np.arange(len(f) + 1), indexing="ij")
@@ -99,10 +103,12 @@ def starts(pieces: Pieces, grid: Grid, order: int) -> list[Prediction]:
     log = np.log(np.stack([pieces.speed, pieces.force], axis=1))
     spread = np.maximum(log.std(axis=0), 1e-3)
     power = np.mean(np.square(pieces.body), axis=1)
+    sounding = np.flatnonzero(power > SILENT * np.median(power))
     out = []
     for model in np.log(grid.models):
-        nearest = np.argsort(np.sum(np.square((log - model) / spread), axis=1))[:START_PIECES]
-        level = max(float(np.exp(np.mean(np.log(power[nearest] + 1e-300)))), 1e-12)
+        distance = np.sum(np.square((log[sounding] - model) / spread), axis=1)
+        nearest = sounding[np.argsort(distance)[:START_PIECES]]
+        level = float(np.exp(np.mean(np.log(power[nearest]))))
         out.append(burg(pieces.body[nearest], order, level / (power[nearest] + 1e-3 * level)))
     return out
 
@@ -134,9 +140,11 @@ def fit(pieces: Pieces, grids: Sequence[tuple[int, int]] = GRIDS) -> Fitted:
     covariance = torch.from_numpy(covariances(pieces))
     held_out = np.arange(len(pieces.speed)) % HELD_OUT == HELD_OUT - 1
     tried: list[Fitted] = []
-    for speeds, forces in grids:
-        if tried and speeds * forces * PIECES_PER_MODEL > len(pieces.speed):
-            break
+    fewest, most = (len(pieces.speed) / share for share in reversed(PIECES_PER_MODEL))
+    suited = [grid for grid in grids if fewest <= grid[0] * grid[1] <= most]
+    if not suited:
+        suited = [min(grids, key=lambda grid: abs(np.log(grid[0] * grid[1] / fewest)))]
+    for speeds, forces in suited:
         grid = make_grid(pieces, speeds, forces)
         tried.append(fit_grid(pieces, covariance, grid, ~held_out, TRIAL_ITERATIONS))
         if len(tried) > 2 and min(tried[-1].loss, tried[-2].loss) > tried[-3].loss:
@@ -167,14 +175,15 @@ def fit_grid(
     sounding = torch.from_numpy(weights * ~grid.silent[vertices])
     length = pieces.body.shape[1]
     covariance = covariance[:, : order + 1, : order + 1]
+    floor = SILENT * float(np.median([each.error[order] for each in predictions]))
 
     def loss(rows: Tensor) -> Tensor:
         angles = torch.cumsum(torch.softmax(shape, dim=1), dim=1)[:, :-1] * torch.pi
         between = (angles[own[rows]] * share[rows][..., None]).sum(dim=1)
-        variance = (torch.exp(level)[own[rows]] * sounding[rows]).sum(dim=1)
+        variance = (torch.exp(level)[own[rows]] * sounding[rows]).sum(dim=1) + floor
         a = polynomial(between)
         residual = torch.einsum("si,sij,sj->s", a, covariance[rows], a)
-        return 0.5 * (torch.log(variance) + residual / (length * variance)).mean()
+        return 0.5 * (torch.log(variance) + (residual / length + floor) / variance).mean()
 
     rows = torch.from_numpy(np.flatnonzero(train))
     optimiser = torch.optim.LBFGS([shape, level], max_iter=iterations, history_size=20, line_search_fn="strong_wolfe")
@@ -233,6 +242,8 @@ def _extended(value: Tensor, before: int, after: int) -> Tensor:
 
 def _levels(values: Float, count: int) -> Float:
     low, high = float(values.min()), float(values.max())
-    if count == 1 or high < 1.05 * low:
-        return np.array([np.sqrt(low * high)]) if count == 1 else np.array([high])
-    return np.geomspace(low, high, count)
+    if high < 1.05 * low:
+        return np.array([high])
+    if count == 1:
+        return np.array([np.sqrt(low * high)])
+    return np.asarray(np.square(np.linspace(np.sqrt(low), np.sqrt(high), count)))

@@ -118,7 +118,7 @@ def build(recordings: Sequence[Recording]) -> Grains:
         loud = evened > 0.0
         samples.append(np.divide(recording.samples, evened, out=np.zeros_like(evened), where=loud))
         start = np.arange(0, len(evened) - GRAIN + 1, STEP)
-        whole = np.concatenate([[0], np.cumsum(loud & (evened > 1e-2 * evened.max()))])
+        whole = np.concatenate([[0], np.cumsum(loud & (evened > 1e-3 * evened.max()))])
         start = start[whole[start + GRAIN] - whole[start] == GRAIN]
         starts.append(start + offset)
         seen.append(features(recording.action, start, weight))

@@ -117,10 +117,17 @@ def test_the_sufficient_statistics_hold_the_prediction_error(recordings):
         assert polynomial @ matrix @ polynomial == pytest.approx(np.sum(np.square(residual)), rel=1e-4)
 
 
-def test_the_order_is_found_and_noise_does_not_raise_it(recordings):
-    pieces = cut(recordings, fitting.MAX_ORDER)
-    predictions = fitting.starts(pieces, fitting.make_grid(pieces, 5, 3), fitting.MAX_ORDER)
-    assert 6 <= fitting.choose_order(predictions, 50_000) <= 12
+def test_the_order_is_never_too_low_and_seldom_too_high():
+    """The Akaike criterion overshoots with some probability whatever the length, so the median is held."""
+    scipy_signal = pytest.importorskip("scipy.signal")
+    polynomial = resonances((300.0, 0.9), (900.0, 0.9), (2500.0, 0.8))
+    found = []
+    for seed in range(9):
+        noise = np.random.default_rng(seed).standard_normal((40, 2000))
+        pieces = scipy_signal.lfilter([1.0], polynomial, noise, axis=1)[:, 1000:]
+        found.append(fitting.choose_order([burg(pieces, fitting.MAX_ORDER)], pieces.size))
+    assert min(found) >= 6
+    assert np.median(found) <= 8
 
 
 def test_a_fit_comes_close_to_the_texture_it_was_recorded_from(fitted, process):
