@@ -1,8 +1,9 @@
 """Hold the contact simulator against recorded textures; measure its ablations and its speed. Prints Markdown.
 
-Usage: python tools/check_simulator.py [--instances N] [--first-seed S] [--only CATEGORY …] [--classes] [--speed] [--write]
+Usage: python tools/check_simulator.py [--instances N] [--first-seed S] [--only CATEGORY …] [--classes] [--speed]
+       [--write]
 
---write puts the three tables into docs/simulator.md, between its markers.
+--write puts what was measured into docs/simulator.md, between its markers; --classes shows every class as well.
 """
 
 from __future__ import annotations
@@ -172,10 +173,7 @@ def main() -> int:
     parser.add_argument("--speed", action="store_true", help="nothing but the speed")
     parser.add_argument("--write", action="store_true", help="into docs/simulator.md")
     a = parser.parse_args()
-    if a.speed:
-        tables = {"speed": speed_table()}
-    else:
-        tables = all_tables(a)
+    tables = {"speed": speed_table()} if a.speed else all_tables(a)
     print("\n\n".join(tables.values()))
     if a.write:
         fill(ROOT / "docs" / "simulator.md", tables)
