@@ -1,0 +1,165 @@
+"""`hnf train field`, by its words, on a model that the test writes, and on a published one where it is here."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hatt_files import HATT, model_xml, needs_hatt
+
+pytest.importorskip("torch", reason="training needs the extra [train]")
+
+from hnf_core.cli.main import main
+from hnf_core.cli.train import gather
+from hnf_core.datasets.autoregressive import power_spectrum
+from hnf_core.datasets.catalogue import open_dataset
+from hnf_core.datasets.hatt_models import read_texture_model
+from hnf_core.datasets.recording import Recording
+from hnf_core.export.wav import read_wav
+from hnf_core.field.expected import expected_spectrum
+from hnf_core.field.weights import load_field, own_material
+from hnf_core.training.own_material import Choices, train_own
+
+QUICK = ("--seconds", "20", "--epochs", "2", "--hidden", "16", "--layers", "2")
+
+
+def hnf(*words) -> int:
+    def no_blender(arguments):
+        raise AssertionError("train needs no Blender")
+
+    return main([str(word) for word in words], no_blender)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    models = tmp_path / "HaTT" / "Models10000Hz" / "XML"
+    models.mkdir(parents=True)
+    (models / "Models_Test Cloth.xml").write_text(model_xml(), encoding="utf-8")
+    return tmp_path / "HaTT"
+
+
+def test_weights_that_synth_takes_with_a_curve_beside_them(folder: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "out" / "cloth.safetensors"
+    words = ("train", "field", "--data", "hatt", folder, "--material", "test cloth", "--out", out, *QUICK, "--json")
+    assert hnf(*words) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["material"] == "Test Cloth"
+    assert record["training_data"] == "20 s of hatt strokes"
+    assert record["test"]["windows"] == 20
+    assert Path(record["curve"]).read_bytes().startswith(b"\x89PNG")
+    assert sorted(path.name for path in out.parent.iterdir()) == ["cloth.curve.png", "cloth.safetensors"]
+    field = load_field(out)
+    assert own_material(field, "here").name == "Test Cloth"
+    assert field.ranges.sectors == ()
+    assert field.ranges.force[1] <= 4.0
+    assert "not to be redistributed" in field.metadata["licence"]
+    wav = tmp_path / "x.wav"
+    assert hnf("synth", "--weights", out, "--stroke", "left-right-soft", "--out", wav) == 0
+    assert read_wav(wav).rms > 0.0
+    first = out.read_bytes()
+    assert hnf(*words) == 0
+    assert out.read_bytes() == first
+
+
+def test_plain_arrays_train_the_same_field(folder: Path) -> None:
+    """Only actions and waveforms reach the trainer, never a model's coefficients."""
+    loaded = gather(open_dataset("hatt", folder), "Test Cloth", 20.0, 0)
+    plain = [
+        Recording(each.action, np.array(each.samples.tolist()), 10_000.0, "Test Cloth", "arrays", each.known)
+        for each in loaded
+    ]
+    small = Choices(hidden=8, layers=1, epochs=1)
+    (first, _), (second, _) = (train_own(some, "hatt", "", 0, small) for some in (loaded, plain))
+    for name, value in first.field.parameters.items():
+        np.testing.assert_array_equal(value, second.field.parameters[name])
+
+
+def test_simulated_materials_train_with_their_token_and_direction(tmp_path: Path, capsys) -> None:
+    out = tmp_path / "denim.safetensors"
+    words = ("--seconds", "10", "--epochs", "1", "--hidden", "16", "--layers", "1")
+    assert hnf("train", "field", "--data", "simulated", "--material", "denim", "--out", out, *words) == 0
+    assert "denim" in capsys.readouterr().out
+    field = load_field(out)
+    assert field.config.physics
+    assert field.config.directed
+    assert field.config.carriers.arc_count
+    assert own_material(field, "here").token.any()
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "told"),
+    [
+        (("--data", "hatt", "{folder}", "--material", "Velvet"), 1, "Test Cloth"),
+        (("--data", "hatt", "{folder}/none", "--material", "Velvet"), 1, "none"),
+        (("--data", "hatt", "--material", "Velvet"), 2, "folder"),
+        (("--data", "hat", "{folder}", "--material", "Velvet"), 2, "hatt"),
+        (("--data", "hatt", "a", "b", "--material", "Velvet"), 2, "Quote"),
+        (("--data", "hatt", "{folder}", "--material", "Test Cloth", "--seconds", "1"), 2, "at least 5"),
+        (("--data", "hatt", "{folder}", "--material", "Test Cloth", "--source", "recordings"), 2, "recordings"),
+    ],
+)
+def test_wrong_words_are_told_and_cost_nothing(folder: Path, tmp_path: Path, capsys, words, status, told) -> None:
+    out = tmp_path / "kept.safetensors"
+    out.write_bytes(b"saved before")
+    filled = [word.replace("{folder}", str(folder)) for word in words]
+    assert hnf("train", "field", *filled, "--out", out) == status
+    assert told in capsys.readouterr().err
+    assert out.read_bytes() == b"saved before"
+
+
+def test_weights_must_be_called_safetensors(folder: Path, tmp_path: Path, capsys) -> None:
+    words = ("--data", "hatt", folder, "--material", "Test Cloth", "--out", tmp_path / "x.pt")
+    assert hnf("train", "field", *words) == 2
+    assert ".safetensors" in capsys.readouterr().err
+
+
+def test_a_run_killed_outright_is_taken_up_again(folder: Path, tmp_path: Path) -> None:
+    def start(out: Path) -> subprocess.Popen:
+        words = ["train", "field", "--data", "hatt", str(folder), "--material", "Test Cloth", "--out", str(out)]
+        code = "import sys; from hnf_core.cli.main import main; sys.exit(main(sys.argv[1:], lambda arguments: 1))"
+        quick = ["--seconds", "20", "--epochs", "6", "--hidden", "16", "--layers", "2"]
+        return subprocess.Popen([sys.executable, "-c", code, *words, *quick], stderr=subprocess.DEVNULL)
+
+    whole, killed = tmp_path / "whole.safetensors", tmp_path / "killed.safetensors"
+    assert start(whole).wait(timeout=200) == 0
+    checkpoint = tmp_path / "killed.safetensors.checkpoint"
+    run = start(killed)
+    for _ in range(4000):
+        if checkpoint.exists() or run.poll() is not None:
+            break
+        time.sleep(0.02)
+    run.send_signal(signal.SIGKILL)
+    assert run.wait(timeout=20) == -signal.SIGKILL
+    assert checkpoint.exists()
+    assert not killed.exists()
+    assert start(killed).wait(timeout=200) == 0
+    assert killed.read_bytes() == whole.read_bytes()
+    assert not checkpoint.exists()
+
+
+@needs_hatt
+def test_a_published_texture_is_learned_to_its_exact_spectrum(tmp_path: Path) -> None:
+    """A quarter of the default's strokes and half of its epochs, to stay short; docs/field.md has the full figures."""
+    out = tmp_path / "abs.safetensors"
+    words = ("--data", "hatt", HATT, "--material", "ABS Plastic", "--out", out, "--seconds", "120", "--epochs", "20")
+    assert hnf("train", "field", *words) == 0
+    field = load_field(out)
+    material = own_material(field, "here")
+    model = read_texture_model(HATT / "models_10khz" / "Models_ABS Plastic.xml")
+    frequency = np.arange(20.0, 1001.0, 10.0)
+    distances = []
+    for speed in (0.05, 0.1, 0.15):
+        for force in (0.5, 1.0, 2.0):
+            exact = power_spectrum(model, speed, force, frequency)
+            found = expected_spectrum(
+                field, material.token, material.mechanics, "pen", (1.0, 0.0), speed, force, frequency
+            )
+            loud = exact > 1e-3 * exact.max()
+            distances.append(np.sqrt(np.mean(np.square(10.0 * np.log10(found[loud] / exact[loud])))))
+    assert np.mean(distances) < 0.8
