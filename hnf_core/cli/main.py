@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 
 from .. import __version__
 from ..errors import HnfError, UsageError
+from . import eval as evaluate
 from . import materials, synth, touch, train
 
 Runner = Callable[[argparse.Namespace], int]
@@ -26,6 +27,7 @@ def build_parser(run_touch: Runner) -> argparse.ArgumentParser:
     touch.add_parser(verbs).set_defaults(run=run_touch)
     synth.add_parser(verbs).set_defaults(run=synth.run)
     train.add_parser(verbs).set_defaults(run=train.run)
+    evaluate.add_parser(verbs).set_defaults(run=evaluate.run)
     materials.add_parser(verbs).set_defaults(run=materials.run)
     return parser
 

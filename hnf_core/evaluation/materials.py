@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from .strokes import Diet, Trial, diet_actions, trials
 
 Float = NDArray[np.float64]
 Watch = Callable[[str], None]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -43,13 +45,14 @@ class Sizes:
 
 @dataclass(frozen=True)
 class Subject:
-    """A material under evaluation."""
+    """A material under evaluation. known: which parts of u(t) its recordings may claim to know."""
 
     process: Process
     limits: ActionRange
     token: NDArray[np.float32] | None = None
     mechanics: Mechanics = UNKNOWN
     category: str = ""
+    known: frozenset[str] = frozenset({"direction", "speed", "force"})
 
 
 @dataclass(frozen=True)
@@ -71,8 +74,10 @@ def judge(subject: Subject, entries: Sequence[Entry], sizes: Sizes, budget: Budg
     drawn = references(
         subject.process, [(each.name, each.action) for each in planned], 77 + seed, sizes.realisations, sizes.renders
     )
-    cells: dict[str, dict[str, list[Cell]]] = {"oracle": _limit_cells(planned, drawn, True),
-                                               "best": _limit_cells(planned, drawn, False)}  # fmt: skip
+    cells = {
+        "oracle": _by_kind(planned, [_natural_cell(each.oracle, each) for each in drawn]),
+        "best": _by_kind(planned, [Cell(each.material, each.stroke, score_best(each)) for each in drawn]),
+    }
     seconds, notes = {"oracle": 0.0, "best": 0.0}, []
     fitted: dict[str, Fitted] = {}
     diets: dict[Diet, tuple[Recording, ...]] = {}
@@ -86,14 +91,12 @@ def judge(subject: Subject, entries: Sequence[Entry], sizes: Sizes, budget: Budg
             began = time.monotonic()
             method = entry.make(budget)
             fitted[entry.key] = _fit(entry, method, subject, diets.get(entry.diet, ()), fitted, seed)
-            cells[entry.key] = _cells(method, fitted[entry.key], planned, drawn, sizes.renders, seed)
+            made = cells_of(method, fitted[entry.key], drawn, sizes.renders, seed)
+            cells[entry.key] = _by_kind(planned, made)
             seconds[entry.key] = time.monotonic() - began
         except (HnfError, ValueError) as error:
             notes.append(f"{entry.key} on {name}: {error}")
-    by_kind: dict[str, list[Reference]] = {}
-    for trial, reference in zip(planned, drawn, strict=True):
-        by_kind.setdefault(trial.kind, []).append(reference)
-    return Judged(by_kind, cells, seconds, fitted, tuple(notes))
+    return Judged(_by_kind(planned, drawn), cells, seconds, fitted, tuple(notes))
 
 
 def recorded(subject: Subject, diet: Diet, seconds: float, seed: int) -> tuple[Recording, ...]:
@@ -103,7 +106,7 @@ def recorded(subject: Subject, diet: Diet, seconds: float, seed: int) -> tuple[R
     for group, length in enumerate(sorted({len(action.speed) for action in actions})):
         same = [action for action in actions if len(action.speed) == length]
         out += subject.process.record(same, 500_000 + 1000 * seed + group)
-    return tuple(out)
+    return tuple(replace(each, known=subject.known) for each in out)
 
 
 def column(key: str, title: str, note: str, kinds: Sequence[str], judged: Sequence[Judged],
@@ -137,31 +140,26 @@ def _fit(
     return method.fit(specimen, seed)
 
 
-def _cells(
-    method: Method, fitted: Fitted, planned: Sequence[Trial], drawn: Sequence[Reference], renders: int, seed: int
-) -> dict[str, list[Cell]]:
-    actions = [trial.action for trial in planned]
-    rendered = [fitted.render(actions, seed + 1 + again) for again in range(renders)]
-    out: dict[str, list[Cell]] = {}
-    for index, (trial, reference) in enumerate(zip(planned, drawn, strict=True)):
+def cells_of(method: Method, fitted: Fitted, drawn: Sequence[Reference], renders: int, seed: int) -> list[Cell]:
+    """One cell per reference."""
+    rendered = [fitted.render([each.action for each in drawn], seed + 1 + again) for again in range(renders)]
+    out = []
+    for index, reference in enumerate(drawn):
         signals = [each[index] for each in rendered]
         if method.form == "natural":
-            score = score_natural(signals, reference)
-            density = np.asarray(np.mean([welch(each, RATE_HZ)[1] for each in signals], axis=0))
-            cell = Cell(reference.material, reference.stroke, score, density)
+            out.append(_natural_cell(signals, reference))
         else:
-            cell = Cell(reference.material, reference.stroke, score_expected_magnitude(signals, reference))
-        out.setdefault(trial.kind, []).append(cell)
+            out.append(Cell(reference.material, reference.stroke, score_expected_magnitude(signals, reference)))
     return out
 
 
-def _limit_cells(planned: Sequence[Trial], drawn: Sequence[Reference], oracle: bool) -> dict[str, list[Cell]]:
-    out: dict[str, list[Cell]] = {}
-    for trial, reference in zip(planned, drawn, strict=True):
-        if oracle:
-            density = np.asarray(np.mean([welch(each, RATE_HZ)[1] for each in reference.oracle], axis=0))
-            cell = Cell(reference.material, reference.stroke, score_natural(reference.oracle, reference), density)
-        else:
-            cell = Cell(reference.material, reference.stroke, score_best(reference))
-        out.setdefault(trial.kind, []).append(cell)
+def _natural_cell(signals: Sequence[Float], reference: Reference) -> Cell:
+    density = np.asarray(np.mean([welch(each, RATE_HZ)[1] for each in signals], axis=0))
+    return Cell(reference.material, reference.stroke, score_natural(signals, reference), density)
+
+
+def _by_kind(planned: Sequence[Trial], things: Sequence[T]) -> dict[str, list[T]]:
+    out: dict[str, list[T]] = {}
+    for trial, thing in zip(planned, things, strict=True):
+        out.setdefault(trial.kind, []).append(thing)
     return out

@@ -1,0 +1,73 @@
+"""`hnf eval`: methods × metrics, beside what the data themselves allow."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ..errors import HnfError, UsageError
+from .progress import Progress, ProgressBar
+
+
+def add_parser(verbs: Any) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = verbs.add_parser(
+        "eval",
+        help="measure fields and rivals by every metric, with the limits beside them",
+        description="Train every method on simulated materials (and on your copy of HaTT), render strokes that none of "
+        "them learned from, and write eval.md, eval.json and pictures. Some 15 minutes on two cores; --quick takes "
+        "two and proves little. Needs the extra [train].",
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write into")
+    parser.add_argument("--quick", action="store_true", help="few materials, short strokes, a few steps of training")
+    parser.add_argument("--hatt", type=Path, metavar="DIR", help="your copy of the Penn Haptic Texture Toolkit")
+    parser.add_argument("--weights", type=Path, metavar="FILE", help="the shared field (default: the shipped one)")
+    parser.add_argument("--methods", nargs="+", metavar="KEY", help="only these (an unknown one lists them)")
+    parser.add_argument("--materials", nargs="+", metavar="NAME", help="library materials for columns a and b")
+    parser.add_argument("--workers", type=int, default=2, metavar="N", help="materials at once (default 2)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of strokes, draws and training")
+    parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
+    return parser
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Raises HnfError; returns the exit code."""
+    if arguments.workers < 1 or arguments.seed < 0:
+        raise UsageError("--workers must be at least 1, --seed at least 0.")
+    try:
+        from ..training import material  # noqa: F401
+    except ImportError as error:
+        raise HnfError(
+            f"evaluation trains its methods and needs torch ({error}).",
+            remedy="Install the extra: pip install 'hnf[train]'.",
+        ) from error
+    from ..evaluation.methods import Budget
+    from ..evaluation.run import QUICK, SIMULATED, Options, run_evaluation
+    from ..evaluation.tables import markdown
+
+    options = Options(
+        out=arguments.out,
+        budget=Budget(weights=arguments.weights),
+        keys=None if arguments.methods is None else tuple(arguments.methods),
+        hatt=arguments.hatt,
+        seed=arguments.seed,
+        workers=arguments.workers,
+        simulated=SIMULATED if arguments.materials is None else tuple(arguments.materials),
+    )
+    options = replace(options, sizes=replace(options.sizes, simulated=len(options.simulated)))
+    if arguments.quick:
+        options = replace(options, sizes=QUICK, budget=replace(options.budget, epochs=2, steps=50))
+    bar, stages = ProgressBar(), [0]
+
+    def watch(stage: str) -> None:
+        stages[0] += 1
+        bar.show(Progress(stage, stages[0], max(stages[0] + 1, 12)))
+
+    try:
+        report = run_evaluation(options, watch)
+    finally:
+        bar.close()
+    print(json.dumps(report.to_json(), indent=1, default=str) if arguments.json else markdown(report))
+    return 0

@@ -1,0 +1,56 @@
+"""Tables beside the columns: where the token came from, and spectra by direction."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from .direction import Directions
+from .jobs import Done
+from .report import Cell, Extra, summary
+
+SENSOR_WORDS = {"gelsight": "GelSight", "digit": "DIGIT"}
+NOT_YET = {"predicted map": "not yet: needs D_φ", "bridged": "not yet: needs bridging"}
+SENSOR_METRICS = {
+    "st_sim_tum": "ST-SIM TUM ↑",
+    "st_sim_cosine": "ST-SIM cosine ↑",
+    "lsd_log10": "LSD log10 ↓",
+    "mse": "MSE ↓",
+    "mse_oracle": "MSE / oracle ↓",
+    "distance_db": "average spectrum [dB] ↓",
+}
+
+
+def sensor_table(done: Sequence[Done]) -> Extra:
+    """The paper's columns: the shared field with tokens of each sensor. Sources that do not exist yet say so."""
+    cells: dict[str, list[Cell]] = {}
+    for each in done:
+        for sensor, made in each.sensors.items():
+            cells.setdefault(sensor, []).extend(made)
+    figures = {sensor: summary(made) for sensor, made in cells.items()}
+    rows = [
+        (SENSOR_WORDS.get(sensor, sensor), *(f"{found[name]['median']:.3g}" for name in SENSOR_METRICS))
+        for sensor, found in figures.items()
+    ]
+    rows += [(source, why, *["–"] * (len(SENSOR_METRICS) - 1)) for source, why in NOT_YET.items()]
+    return Extra(
+        "token_source",
+        "Token source (shared field, held-out windows)",
+        "The paper's columns. Token = E of each sensor's image, by its optics model, of one and the same height map.",
+        ("token from", *SENSOR_METRICS.values()),
+        tuple(rows),
+        figures,
+    )
+
+
+def direction_table(measured: Directions, names: Mapping[str, str]) -> Extra:
+    """names: key of a method → words."""
+    errors = {key: measured.ratio_error_db(key) for key in measured.methods}
+    return Extra(
+        "direction",
+        f"By direction: {measured.material}",
+        f"Eight directions over half a circle, steady; {measured.anisotropy_db():.1f} dB of anisotropy. RMS error of "
+        "the level ratio of each direction's spectrum to the first one's.",
+        ("method", "ratio error [dB]"),
+        tuple((names.get(key, key), f"{value:.2f}") for key, value in errors.items()),
+        {"material": measured.material, "anisotropy_db": measured.anisotropy_db(), "ratio_error_db": errors},
+    )

@@ -1,0 +1,209 @@
+"""The whole evaluation: columns, tables of their own, pictures, and what was left out."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from dataclasses import field as default
+from pathlib import Path
+
+import numpy as np
+
+from ..action.smooth import steady_action, wandering_action
+from ..datasets.catalogue import open_dataset
+from ..datasets.dataset import DataSet
+from ..datasets.simulated import SimulatedLibrary
+from ..errors import MaterialError
+from ..field.field import Field
+from ..field.weights import load_field
+from ..files import write_text
+from ..material.library import find
+from .extras import direction_table, sensor_table
+from .held_out import Known, held_out_names, held_out_table, long_run
+from .jobs import Done, Job, run_jobs
+from .materials import Sizes, column
+from .methods import Budget, chosen
+from .photo import photo_table, textures
+from .pictures import directions_picture, spectra_picture
+from .report import Column, Extra, Report
+from .tables import markdown
+
+SIMULATED = ("sandstone", "denim", "brushed-metal")
+"""Rough, woven, and the one whose directions are pictured."""
+HATT = ("ABS Plastic", "Brick 1", "Cork")
+QUICK = Sizes(2.0, 8, 1, 20.0, 1, 1, 3)
+PHOTO_STROKE = (0.1, 1.0)
+"""m/s and N at which real textures are tabulated."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """keys: of methods, None = all. hatt: folder of the user's copy, or None. weights: of the shared field, None = the
+    shipped ones."""
+
+    out: Path
+    sizes: Sizes = default(default_factory=Sizes)
+    budget: Budget = default(default_factory=Budget)
+    keys: tuple[str, ...] | None = None
+    hatt: Path | None = None
+    seed: int = 0
+    workers: int = 2
+    simulated: tuple[str, ...] = SIMULATED
+
+
+def run_evaluation(options: Options, watch: Callable[[str], None] = lambda _: None) -> Report:
+    """Evaluate, and write eval.md, eval.json and pictures under options.out. Raises HnfError for what a person can act
+    on: unknown methods, a folder without textures, weights that cannot be read."""
+    entries = chosen(options.keys)
+    hatt = None if options.hatt is None else open_dataset("hatt", options.hatt)
+    field = load_field(options.budget.weights)
+    timings: dict[str, float] = {}
+    with _timed(timings, "materials"):
+        done = list(run_jobs(_jobs(options, hatt), options.workers, watch))
+    simulated = [each for each in done if each.job.kind == "simulated"]
+    recorded = [each for each in done if each.job.kind == "hatt"]
+    notes = [note for each in done for note in each.judged.notes]
+    columns = _columns(options, simulated, recorded)
+    extras = [sensor_table(simulated)] if any(each.sensors for each in simulated) else []
+    extras += [direction_table(each.directions, _names(columns)) for each in simulated if each.directions is not None]
+    with _timed(timings, "held-out classes"):
+        watch("held-out classes")
+        held = _held_out(options, field)
+        notes += [held] if isinstance(held, str) else []
+        extras += [held] if isinstance(held, Extra) else []
+    if hatt is None:
+        notes.append("(d) HaTT: no folder was given (--hatt DIR).")
+    else:
+        with _timed(timings, "photographs"):
+            watch("photographs")
+            extras.append(_photos(hatt, field, options))
+    settings = {**asdict(options.sizes), "seed": options.seed, "field": field.identity,
+                "methods": " ".join(entry.key for entry in entries)}  # fmt: skip
+    report = Report(settings, tuple(columns), tuple(extras), tuple(notes), timings)
+    _write(report, done, options.out)
+    return report
+
+
+class _timed:  # noqa: N801
+    def __init__(self, timings: dict[str, float], name: str) -> None:
+        self._timings, self._name, self._began = timings, name, time.monotonic()
+
+    def __enter__(self) -> None: ...
+
+    def __exit__(self, *_: object) -> None:
+        self._timings[self._name] = time.monotonic() - self._began
+
+
+def _jobs(options: Options, hatt: DataSet | None) -> list[Job]:
+    keys = tuple(entry.key for entry in chosen(options.keys))
+
+    def job(kind: str, name: str, place: int, directions: bool = False) -> Job:
+        return Job(
+            kind, name, options.hatt, place, keys, options.sizes, options.budget, options.seed + 10 * place, directions
+        )
+
+    names = options.simulated[-options.sizes.simulated :]
+    jobs = [job("simulated", name, place, name == names[-1]) for place, name in enumerate(names)]
+    if hatt is not None:
+        known = [name for name in HATT if name in hatt.materials]
+        rest = [name for name in hatt.materials if name not in known]
+        jobs += [job("hatt", name, place) for place, name in enumerate([*known, *rest][: options.sizes.hatt])]
+    return jobs
+
+
+def _columns(options: Options, simulated: Sequence[Done], recorded: Sequence[Done]) -> list[Column]:
+    keys = tuple(entry.key for entry in chosen(options.keys))
+
+    def make(key: str, title: str, what: str, kinds: Sequence[str], done: Sequence[Done]) -> Column:
+        names = ", ".join(each.job.name for each in done)
+        note = f"{names}. {what} Methods learned from {options.sizes.training_s:g} s of each material."
+        return column(key, title, note, kinds, [each.judged for each in done], chosen(keys), options.budget)
+
+    out = []
+    if simulated:
+        out += [
+            make("windows", "(a) Simulated, held-out windows", "New stretches of wandering strokes.", ["window"],
+                 simulated),
+            make("unseen", "(b) Simulated, unseen kinds of stroke", "A steady stroke and a speed sweep, kinds that no "
+                 "method learned from.", ["unseen"], simulated),
+        ]  # fmt: skip
+    if recorded:
+        out.append(
+            make("hatt", "(d) HaTT texture models", "Wandering, steady and sweeping strokes. AR is the true model "
+                 "class here, and direction does not exist.", ["window", "unseen"], recorded)
+        )  # fmt: skip
+    return out
+
+
+def _held_out(options: Options, field: Field) -> Extra | str:
+    library = SimulatedLibrary()
+    names = held_out_names(field, library.materials)[: options.sizes.held_out]
+    if len(names) < 2:
+        return (
+            "(c) Held-out classes: the weights name no classes that were kept from training "
+            '(metadata "held_out"); give some with --weights FILE.'
+        )
+    kept_away = set(held_out_names(field, library.materials))
+    limits = library.action_range(names[0])
+    action = wandering_action(
+        options.sizes.seconds, 4242 + options.seed, speed_m_s=limits.speed_m_s, force_n=limits.force_n
+    )
+    known = {}
+    for name in library.materials:
+        if name in kept_away and name not in names:
+            continue
+        draws = options.sizes.realisations if name in names else 4
+        material, process = find(name), library.process(name)
+        density = long_run(process, action, draws, 31 + options.seed)
+        known[name] = Known(name, material.category, material.token, material.mechanics, density)
+        if name in names:
+            oracle = long_run(process, action, options.sizes.renders, 7_000_032 + options.seed)
+            known[name] = replace(known[name], oracle=oracle)
+    held = [known[name] for name in names]
+    return held_out_table(
+        field, action, held, [each for name, each in known.items() if name not in names], options.seed
+    )
+
+
+def _photos(hatt: DataSet, field: Field, options: Options) -> Extra:
+    known = textures(hatt, steady_action(options.sizes.seconds, *PHOTO_STROKE), 8, options.seed)
+    if len(known) < 3:
+        raise MaterialError(
+            f"{len(known)} textures with a photograph.", where=str(options.hatt), remedy="Give the toolkit's folder."
+        )
+    return photo_table(field, known, steady_action(1.0, *PHOTO_STROKE))
+
+
+def _names(columns: Sequence[Column]) -> dict[str, str]:
+    return {row.key: row.name for found in columns for row in found.rows if row.form == "natural"}
+
+
+def _write(report: Report, done: Sequence[Done], out: Path) -> None:
+    names = _names(report.columns)
+    names.pop("oracle", None)
+    lines = [markdown(report), "## Pictures", ""]
+    for kind, key, title in (
+        ("window", "simulated", "Simulated, held-out windows"),
+        ("unseen", "simulated", "Simulated, unseen kinds of stroke"),
+        ("unseen", "hatt", "HaTT, unseen kinds of stroke"),
+    ):
+        judged = [each.judged for each in done if each.job.kind == key]
+        if judged:
+            picture = out / f"spectra-{key}-{kind}.png"
+            spectra_picture(picture, judged, kind, names, title)
+            lines += [f"![{title}]({picture.name})", ""]
+    for each in done:
+        if each.directions is not None:
+            picture = out / f"directions-{each.job.name}.png"
+            directions_picture(picture, each.directions, names)
+            lines += [f"![By direction]({picture.name})", ""]
+    write_text(out / "eval.json", json.dumps(report.to_json(), indent=1, default=_plain) + "\n")
+    write_text(out / "eval.md", "\n".join(lines))
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, np.generic):
+        return value.item()
+    return str(value)

@@ -1,0 +1,160 @@
+"""The harness: a perfect method scores as the oracle, every flaw shows where it should, and forms are never mixed."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from evaluation_stubs import LIMITS, GaussianTexture, Perfect, gaussian
+
+from hnf_core.action.smooth import steady_action
+from hnf_core.errors import UsageError
+from hnf_core.evaluation.direction import by_direction
+from hnf_core.evaluation.materials import Judged, Sizes, Subject, cells_of, column, judge
+from hnf_core.evaluation.methods import Budget, Entry, chosen, entries
+from hnf_core.evaluation.reference import Reference, references
+from hnf_core.evaluation.report import Report, summary
+from hnf_core.evaluation.score import METRICS, score_best, score_expected_magnitude, score_natural
+from hnf_core.evaluation.strokes import diet_actions, trials
+from hnf_core.evaluation.tables import markdown
+from hnf_core.field.expected_magnitude import expected_magnitude_signal
+from hnf_core.metrics.spectra import welch
+
+SIZES = Sizes(2.0, 32, 4, 4.0, 1, 1, 2)
+
+
+@pytest.fixture(scope="module")
+def reference() -> Reference:
+    return references(GaussianTexture(), [("steady", steady_action(2.0, 0.1, 1.0))], 1, 32, 4)[0]
+
+
+@pytest.fixture(scope="module")
+def judged() -> Judged:
+    stubs = (
+        Entry("perfect", "wandering", lambda budget: Perfect()),
+        Entry("broken", "circular", lambda budget: Perfect(broken=True)),
+        Entry("half", "circular and primitives", lambda budget: Perfect(0.5, "half as loud")),
+        Entry("lines", "wandering", lambda budget: Perfect(form="expected magnitude", name="noise as benchmark form")),
+        Entry("blind", "wandering", lambda budget: Perfect(), needs_token=True),
+    )
+    return judge(Subject(GaussianTexture(), LIMITS), stubs, SIZES, Budget(), 3, lambda stage: None)
+
+
+def test_a_perfect_method_scores_as_the_oracle(reference: Reference) -> None:
+    oracle, perfect = (
+        score_natural(signals, reference)
+        for signals in (reference.oracle, [gaussian(reference.action, 99, draw) for draw in range(4)])
+    )
+    for score in (oracle, perfect):
+        assert score.mse_oracle == pytest.approx(1.0, abs=0.08)
+        assert score.mse_best == pytest.approx(2.0, abs=0.16)
+        assert score.power_bias_db == pytest.approx(0.0, abs=0.25)
+        assert score.distance_db is not None
+        assert score.distance_db < 0.6
+        assert score.lsd_db == pytest.approx(7.6, abs=0.5)
+    assert reference.limits[0].oracle_share == pytest.approx(0.429, abs=0.02)
+
+
+def test_every_flaw_shows(reference: Reference) -> None:
+    quiet = score_natural([0.5 * each for each in reference.oracle], reference)
+    assert quiet.power_bias_db == pytest.approx(-6.02, abs=0.3)
+    assert quiet.nine_band_db == pytest.approx(6.02, abs=0.3)
+    silent = score_natural([np.zeros_like(reference.recording)], reference)
+    assert silent.mse_oracle == pytest.approx(1.0 / 0.429, rel=0.05)
+    assert silent.distance_db is not None
+    assert silent.distance_db > 60.0
+    looped = score_natural([np.tile(reference.recording[:2500], 8)], reference)
+    assert looped.repetition == pytest.approx(1.0, abs=1e-6)
+    same = score_natural([reference.recording], reference)
+    assert (same.st_sim_tum, same.spqi, same.lsd_db) == (1.0, 1.0, 0.0)
+    with pytest.raises(ValueError, match="rendering"):
+        score_natural([reference.recording[:-1]], reference)
+    with pytest.raises(ValueError, match="not finite"):
+        score_natural([np.full_like(reference.recording, np.nan)], reference)
+
+
+def test_the_expected_magnitude_form_comes_close_to_the_best_and_is_not_asked_for_its_power(
+    reference: Reference,
+) -> None:
+    density = np.mean([welch(each, 10_000.0)[1] for each in reference.draws], axis=0)[1:101]
+    shown = score_expected_magnitude([expected_magnitude_signal(density[None, :], 20_000)], reference)
+    assert 1.0 < (shown.mse_best or 0.0) <= 1.10
+    assert (shown.distance_db, shown.power_bias_db, shown.nine_band_db, shown.repetition) == (None,) * 4
+    best = score_best(reference)
+    assert (best.mse_best, best.mse_oracle) == (1.0, 0.5)
+    assert best.st_sim_tum is None
+
+
+def test_one_that_fails_is_named_and_costs_nobody_else(judged: Judged) -> None:
+    assert [note.split(":")[0] for note in judged.notes] == ["broken on gaussian"]
+    assert set(judged.cells) == {"oracle", "best", "perfect", "half", "lines"}
+    for cells in judged.cells.values():
+        assert {kind: len(found) for kind, found in cells.items()} == {"window": 2, "unseen": 2}
+
+
+def test_tables_keep_the_forms_apart_and_always_show_the_limits(judged: Judged) -> None:
+    stubs = (
+        Entry("perfect", "wandering", lambda budget: Perfect()),
+        Entry("lines", "wandering", lambda budget: Perfect(form="expected magnitude", name="noise as benchmark form")),
+    )
+    found = column("a", "(a) Test", "A note.", ["window"], [judged], stubs, Budget())
+    assert [row.key for row in found.rows] == ["oracle", "best", "perfect", "lines"]
+    report = Report({"seed": 3}, (found,), notes=judged.notes, timings={"all": 1.0})
+    text = markdown(report)
+    natural, benchmark = text.index("Natural forms: signals"), text.index("Expected-magnitude forms: for")
+    assert natural < text.index("oracle: the true process", natural) < text.index("| perfect", natural) < benchmark
+    assert benchmark < text.index("| best: mean") < text.index("| noise as benchmark form")
+    assert "cannot learn this" in text
+    record = json.loads(json.dumps(report.to_json()))
+    assert record["schema"] == 1
+    rows = {row["key"]: row for row in record["columns"][0]["rows"]}
+    assert rows["perfect"]["summary"]["mse_oracle"]["median"] == pytest.approx(1.0, abs=0.1)
+    assert set(rows["perfect"]["cells"][0]) == {"material", "stroke", *METRICS}
+    assert "distance_db" not in rows["lines"]["summary"]
+
+
+def test_a_summary_leaves_out_what_a_method_does_not_have(reference: Reference) -> None:
+    cells = cells_of(Perfect(), Perfect(), [reference, reference], 1, 0)
+    found = summary(cells)
+    assert found["distance_db"]["count"] == 2
+    assert found["distance_db"]["min"] <= found["distance_db"]["median"] <= found["distance_db"]["max"]
+    assert summary([]) == {}
+
+
+def test_diets_stay_within_their_limits_and_hold_no_trial() -> None:
+    for diet in ("wandering", "circular", "circular and primitives"):
+        actions = diet_actions(diet, LIMITS, 60.0, 0)
+        assert sum(action.duration_s for action in actions) == pytest.approx(60.0, rel=0.25)
+        if diet != "circular and primitives":
+            for action in actions:
+                assert (
+                    LIMITS.speed_m_s[0] - 1e-9 <= action.speed.min() <= action.speed.max() <= LIMITS.speed_m_s[1] + 1e-9
+                )
+                assert LIMITS.force_n[0] - 1e-9 <= action.force.min() <= action.force.max() <= LIMITS.force_n[1] + 1e-9
+    wandering = diet_actions("wandering", LIMITS, 60.0, 0)
+    for trial in trials(LIMITS, 2.0, 0):
+        assert trial.action.duration_s == 2.0
+        speeds = trial.action.speed
+        assert not any(np.array_equal(speeds, action.speed[: len(speeds)]) for action in wandering)
+    kinds = [trial.kind for trial in trials(LIMITS, 2.0, 0)]
+    assert kinds == ["window", "window", "unseen", "unseen"]
+
+
+def test_directions_are_told_by_the_one_who_knows_and_not_by_the_other() -> None:
+    class Knowing(Perfect):
+        def render(self, actions, seed):  # type: ignore[no-untyped-def]
+            texture = GaussianTexture(directed=True)
+            return [gaussian(a, 5000 + seed, index, texture.gain(a)) for index, a in enumerate(actions)]
+
+    measured = by_direction(GaussianTexture(directed=True), LIMITS, {"knows": Knowing(), "blind": Perfect()}, 2.0, 8, 0)
+    assert measured.anisotropy_db() == pytest.approx(20.0 * np.log10(4.0), abs=0.5)
+    assert measured.ratio_error_db("knows") < 1.0
+    assert measured.ratio_error_db("blind") > 5.0
+
+
+def test_methods_are_chosen_by_key() -> None:
+    assert [entry.key for entry in chosen(["ar", "field", "ar"])] == ["ar", "field"]
+    assert [entry.key for entry in chosen(None)] == [entry.key for entry in entries()]
+    with pytest.raises(UsageError, match="field"):
+        chosen(["nonsense"])
