@@ -264,21 +264,22 @@ def stream_figures(field: Field, minutes: int) -> Iterator[tuple[str, str]]:
     stroke, started = library_stroke(60.0 * minutes), time.process_time()
     prepared = prepare(field, stroke, seed=7)
     yield "preparing all states", f"{time.process_time() - started:.0f} s of one core, peak memory {peak_mb():.0f} MB"
-    power, resident, kept, started = [], [], [], time.process_time()
+    power, resident, kept = [], [], []
     for start in range(0, prepared.count, 10_000):
         block = render_block(prepared, start, 10_000)
         power.append(float(np.mean(np.square(block))))
         kept.append(block.astype(np.float32))
         if (start + 10_000) % 600_000 == 0:
             resident.append(resident_mb() - sum(each.nbytes for each in kept) / 1e6)
-    yield "speed", f"{60.0 * minutes / (time.process_time() - started):.0f} times real time on one core"
     yield "resident memory less the signal, minute 1 and last", f"{resident[0]:.0f} MB, {resident[-1]:.0f} MB"
     inner = np.array(power)
     inner[0], inner[-1] = inner[1], inner[-2]  # the touch and the lift are no texture
     between, expected = spread_db(inner, 60)
     yield "RMS by minute: spread, and what chance gives", f"{between:.3f} dB, {expected:.3f} dB"
-    slope = np.polyfit(np.arange(minutes), 10.0 * np.log10(inner.reshape(minutes, 60).mean(axis=1)), 1)[0]
-    yield "trend of the level", f"{slope:+.4f} dB a minute"
+    minute = np.arange(minutes)
+    slope = np.polyfit(minute, 10.0 * np.log10(inner.reshape(minutes, 60).mean(axis=1)), 1)[0]
+    chance = expected / np.sqrt(np.sum(np.square(minute - minute.mean())))
+    yield "trend of the level, and what chance gives", f"{slope:+.4f} dB a minute, ± {chance:.4f}"
     signal = np.concatenate(kept).astype(np.float64)[10_000:-10_000]
     least, greatest = 1000, len(signal) // 2
     yield "largest autocorrelation, lags 0.1 s to half the length", f"{correlation(signal, least, greatest):.4f}"

@@ -9,6 +9,7 @@ import pytest
 from hnf_core.action.smooth import steady_action, wandering_action
 from hnf_core.field.field import Field, FieldConfig, initial_parameters
 from hnf_core.field.reference import texture_reference
+from hnf_core.field.resampling import resample
 from hnf_core.field.stroke import HeightProfile, uniform_stroke
 from hnf_core.field.synthesis import Prepared, prepare, render_block, synthesise, texture_term
 from hnf_core.field.timeline import SAMPLES_PER_STATE, sample_count
@@ -146,3 +147,11 @@ def test_the_output_rate_changes_no_bin_below_1_khz():
         inside = np.flatnonzero((frequency >= 10.0) & (frequency <= min(1000.0, 0.45 * rate)))
         difference = np.abs(10.0 * np.log10(second[inside] / first[inside]))
         assert difference.max() < 0.01, (rate, frequency[inside][difference.argmax()])
+
+
+def test_an_odd_rate_keeps_the_clock():
+    """9999 Hz is next to a simple ratio: taken for it, time would run wrong by a ten-thousandth."""
+    sine = np.sin(2.0 * np.pi * 300.0 * np.arange(20_000) / 10_000.0)
+    output, _ = resample(sine, 10_000.0, 9999.0)
+    exact = np.sin(2.0 * np.pi * 300.0 * np.arange(len(output)) / 9999.0)
+    assert np.abs(output - exact)[1000:-1000].max() < 1e-5
