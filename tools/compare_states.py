@@ -3,8 +3,9 @@ windows. Prints the Markdown table of docs/field.md.
 
 Usage: python tools/compare_states.py [--seconds S] [--seeds N] [MATERIAL …]    needs the extra "train".
 
-The strokes are the simulator's on library materials: a hand that rubs to and fro and, every second time, lifts at the
-turn. There memory could matter: at reversals, at the onset of contact, and where friction sticks and slips.
+The strokes are the simulator's on library materials: a hand that rubs to and fro under a load that changes too. There
+memory could matter: at reversals, at the onset of sliding, and where friction sticks and slips. Landing and lifting are
+left out: the blow of a landing is the contact's own term in synthesis, not the texture's.
 """
 
 from __future__ import annotations
@@ -36,17 +37,15 @@ FORMS = {
 
 
 def rubbing(seed: int) -> Action:
-    """To and fro two to five times a second at up to 0.05–0.2 m/s; in half of the strokes lifted at every turn."""
+    """To and fro two to five times a second at up to 0.05–0.2 m/s, the load swinging by half of itself."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(STROKE_S * ACTION_RATE_HZ) + 1) / ACTION_RATE_HZ
     swing = np.sin(2.0 * np.pi * rng.uniform(1.0, 2.5) * time + rng.uniform(0.0, 6.3))
     angle, peak, load = rng.uniform(0.0, 6.3), np.exp(rng.uniform(*np.log((0.05, 0.2)))), rng.uniform(0.5, 2.0)
     velocity = peak * swing
-    force = np.full(len(time), load)
-    if seed % 2:
-        force = load * np.clip((np.abs(swing) - 0.3) / 0.2, 0.0, 1.0)
+    force = load * (1.0 + 0.5 * np.sin(2.0 * np.pi * rng.uniform(0.5, 2.0) * time))
     direction = np.sign(velocity + 1e-12)[:, None] * np.array([np.cos(angle), np.sin(angle)])
-    position = np.concatenate([[0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1]))]) / ACTION_RATE_HZ
+    position = np.concatenate([[0.0], np.cumsum(0.5 * (np.abs(velocity[1:]) + np.abs(velocity[:-1])))]) / ACTION_RATE_HZ
     return Action(ACTION_RATE_HZ, direction, np.abs(velocity), force, position, force > 0.0)
 
 

@@ -7,23 +7,15 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..action.smooth import wandering_action
-from ..datasets.catalogue import KINDS, open_dataset
-from ..datasets.dataset import DataSet
-from ..datasets.recording import Recording
 from ..errors import HnfError, UsageError
 from ..field.weights import save_field
 from .progress import Progress, ProgressBar
 
 if TYPE_CHECKING:
+    from ..datasets.dataset import DataSet
+    from ..datasets.recording import Recording
     from ..training.material import Trained
 
-STROKE_S = 5.0
-FADE = 0.6
-"""How far below the least speed and force of a model's data strokes go: hands do, and the model fades there."""
-USUAL_SPEED_M_S, USUAL_FORCE_N = (0.03, 0.2), (0.3, 3.0)
-USUAL = 0.7
-"""Share of strokes that keep to where hands mostly are; the others go wherever the data reach."""
 LICENCES = {
     "hatt": "trained on the Penn Haptic Texture Toolkit: non-profit research only, not to be redistributed",
     "cluster": "trained on the Cluster Haptic Texture Database (CC BY 4.0, doi 10.6084/m9.figshare.29438288)",
@@ -43,7 +35,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser.add_argument("what", choices=["field"], help="what to train")
     parser.add_argument(
         "--data", nargs="+", required=True, metavar=("KIND", "DIR"),
-        help=f"{', '.join(KINDS)}, and the folder of your copy (none for simulated)",
+        help="hatt, cluster or lmt and the folder of your copy, or simulated",
     )  # fmt: skip
     parser.add_argument("--material", required=True, metavar="NAME", help="material, as the data set calls it")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="weights to write (.safetensors)")
@@ -72,8 +64,10 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--seed must be a whole number from 0.")
     if arguments.out.suffix != ".safetensors":
         raise UsageError(f"--out {arguments.out.name}: weights are .safetensors files.", remedy="Name it so.")
+    from ..datasets.training_strokes import training_recordings
+
     kind, data = _open(arguments.data)
-    recordings = gather(data, arguments.material, arguments.seconds, arguments.seed, arguments.source)
+    recordings = training_recordings(data, arguments.material, arguments.seconds, arguments.seed, arguments.source)
     trained, record = _train(arguments, kind, data, recordings)
     from ..export.training_curve import training_curve
 
@@ -85,43 +79,9 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def gather(data: DataSet, name: str, seconds: float, seed: int, source: str | None = None) -> list[Recording]:
-    """What to train on: `seconds` of wandering strokes on the material's model, or its recordings.
-
-    Raises UsageError where what was asked for does not exist.
-    """
-    process, recorded = data.process(name), []
-    if process is None or source == "recordings":
-        recorded = data.recordings(name)
-        if not recorded:
-            raise UsageError(
-                f"there are no recordings of {name!r} here.", remedy="Leave --source out to use its model."
-            )
-        return recorded
-    if not STROKE_S <= seconds < 1e5:
-        raise UsageError(f"--seconds {seconds:g}: give at least {STROKE_S:g}.", remedy="480 is plenty.")
-    limits = data.action_range(name)
-    speed, force = ((FADE * low, high) for low, high in (limits.speed_m_s, limits.force_n))
-    count = round(seconds / STROKE_S)
-    actions = [
-        wandering_action(
-            STROKE_S, seed * 100_003 + index,
-            speed_m_s=_within(speed, USUAL_SPEED_M_S) if index < USUAL * count else speed,
-            force_n=_within(force, USUAL_FORCE_N) if index < USUAL * count else force,
-            angle_rad=limits.angle_rad,
-        )
-        for index in range(count)
-    ]  # fmt: skip
-    return process.record(actions, seed)
-
-
-def _within(limits: tuple[float, float], usual: tuple[float, float]) -> tuple[float, float]:
-    """The part of both, or limits where they have none (at least a factor of 1.5) in common."""
-    low, high = max(limits[0], usual[0]), min(limits[1], usual[1])
-    return (low, high) if high >= 1.5 * low else limits
-
-
 def _open(words: list[str]) -> tuple[str, DataSet]:
+    from ..datasets.catalogue import open_dataset
+
     if len(words) > 2:
         raise UsageError(f"--data takes a kind and a folder, not {words}.", remedy="Quote a path with blanks.")
     return words[0], open_dataset(words[0], Path(words[1]) if len(words) == 2 else None)

@@ -16,11 +16,11 @@ from hatt_files import HATT, model_xml, needs_hatt
 pytest.importorskip("torch", reason="training needs the extra [train]")
 
 from hnf_core.cli.main import main
-from hnf_core.cli.train import gather
 from hnf_core.datasets.autoregressive import power_spectrum
 from hnf_core.datasets.catalogue import open_dataset
 from hnf_core.datasets.hatt_models import read_texture_model
 from hnf_core.datasets.recording import Recording
+from hnf_core.datasets.training_strokes import training_recordings
 from hnf_core.export.wav import read_wav
 from hnf_core.field.expected import expected_spectrum
 from hnf_core.field.weights import load_field, own_material
@@ -69,7 +69,7 @@ def test_weights_that_synth_takes_with_a_curve_beside_them(folder: Path, tmp_pat
 
 def test_plain_arrays_train_the_same_field(folder: Path) -> None:
     """Only actions and waveforms reach the trainer, never a model's coefficients."""
-    loaded = gather(open_dataset("hatt", folder), "Test Cloth", 20.0, 0)
+    loaded = training_recordings(open_dataset("hatt", folder), "Test Cloth", 20.0, 0)
     plain = [
         Recording(each.action, np.array(each.samples.tolist()), 10_000.0, "Test Cloth", "arrays", each.known)
         for each in loaded
