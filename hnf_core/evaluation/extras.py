@@ -35,7 +35,8 @@ def sensor_table(done: Sequence[Done]) -> Extra:
     return Extra(
         "token_source",
         "Token source (shared field, held-out windows)",
-        "The paper's columns. Token = E of each sensor's image, by its optics model, of one and the same height map.",
+        "The paper's columns. Token = E of each sensor's image, by its optics model, of one and the same height map. "
+        "Neither sensor is noisy, and E undoes the optics: they can differ only where the gels do.",
         ("token from", *SENSOR_METRICS.values()),
         tuple(rows),
         figures,

@@ -76,10 +76,18 @@ def token_of_photo(path: Path) -> NDArray[np.float32]:
 
 
 def scaled(token: NDArray[np.float32], decades: float) -> NDArray[np.float32]:
-    """The token of a surface 10^decades times as high; unresolved bands stay at the floor."""
+    """The token of a surface 10^decades times as high. Waves too short for the photograph (133 µm) go on with the slope
+    of the resolved ones, as those of a self-affine surface do."""
     out = token.copy()
-    levels = out[LEVELS]
-    out[LEVELS] = np.where(levels > SMOOTH_LEVEL, np.maximum(levels + decades, SMOOTH_LEVEL), levels)
+    levels = out[LEVELS].astype(np.float64)
+    seen = np.flatnonzero(levels > SMOOTH_LEVEL)
+    if len(seen) >= 2:
+        slope, level = np.polyfit(seen, levels[seen], 1)
+        beyond = np.arange(len(levels)) > seen[-1]
+        levels[beyond] = level + slope * np.flatnonzero(beyond)
+        seen = np.flatnonzero(beyond | (levels > SMOOTH_LEVEL))
+    levels[seen] += decades
+    out[LEVELS] = np.maximum(levels, SMOOTH_LEVEL)
     return out
 
 

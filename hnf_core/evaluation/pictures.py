@@ -74,7 +74,7 @@ def directions_picture(path: Path, measured: Directions, names: dict[str, str]) 
         for place, (name, spectra) in enumerate(panels):
             axes = _panel(figure, place, columns, rows, size)
             for angle, density, colour in zip(measured.angle, spectra, colours, strict=True):
-                axes.plot(FREQUENCY_HZ[SHOWN], _level(density), color=colour, lw=1.1, label=f"{np.degrees(angle):.0f}°")
+                axes.plot(FREQUENCY_HZ[SHOWN], _level(density), color=colour, lw=1.1, label=f"{np.degrees(angle):g}°")
             error = (
                 ""
                 if place == 0
@@ -88,7 +88,7 @@ def directions_picture(path: Path, measured: Directions, names: dict[str, str]) 
 
 def _panel(figure: Figure, place: int, columns: int, rows: int, size: tuple[int, int]) -> Axes:
     row, column = divmod(place, columns)
-    left, wide = (column * PANEL_PX[0] + 62) / size[0], (PANEL_PX[0] - 82) / size[0]
+    left, wide = (column * PANEL_PX[0] + 78) / size[0], (PANEL_PX[0] - 106) / size[0]
     bottom = ((rows - 1 - row) * PANEL_PX[1] + 100) / size[1]
     axes = figure.add_axes((left, bottom, wide, (PANEL_PX[1] - 75) / size[1]))
     axes.set_xscale("log")

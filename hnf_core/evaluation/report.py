@@ -15,7 +15,7 @@ from .score import METRICS, Score
 Float = NDArray[np.float64]
 
 SCHEMA = 1
-ORACLE, BEST = "oracle: the true process, another seed", "best: mean |X_k| of the true process"
+ORACLE, BEST = "oracle: the true process, another seed", "best: the true process's mean magnitude"
 
 
 @dataclass(frozen=True)
