@@ -1,6 +1,7 @@
 """Train the shipped weights hnf_core/data/field.safetensors from nothing but this project's own simulator.
 
-Usage: python tools/train_default_field.py [--seed N] [--out FILE] [--workers N]    needs the extra "train".
+Usage: python tools/train_default_field.py [--seed N] [--out FILE] [--workers N] [--cache DIR]
+Needs the extra "train". What is simulated stays in the cache for tools/evaluate_shared_field.py.
 """
 
 from __future__ import annotations
@@ -12,9 +13,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from hnf_core.field.field import FieldConfig  # noqa: E402
 from hnf_core.field.weights import DEFAULT_WEIGHTS, save_field  # noqa: E402
-from hnf_core.training.recipe import Plan, train  # noqa: E402
+from hnf_core.training.recipe import SHARED, Plan, train  # noqa: E402
+
+CACHE = ROOT / "build" / "shared-field"
 
 
 def main() -> int:
@@ -23,8 +25,10 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=DEFAULT_WEIGHTS)
     parser.add_argument("--library", type=Path, default=ROOT / "hnf_core" / "data" / "library.json")
     parser.add_argument("--workers", type=int, default=2, help="processes that simulate; does not change the result")
+    parser.add_argument("--cache", type=Path, default=CACHE, help="folder for simulated strokes")
     arguments = parser.parse_args()
-    field = train(arguments.library, Plan(), FieldConfig(), arguments.seed, arguments.workers)
+    arguments.cache.mkdir(parents=True, exist_ok=True)
+    field = train(arguments.library, Plan(), SHARED, arguments.seed, arguments.cache, arguments.workers)
     save_field(arguments.out, field)
     print(f"{arguments.out}: {arguments.out.stat().st_size / 1e6:.2f} MB", file=sys.stderr)
     return 0

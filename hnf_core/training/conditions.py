@@ -17,6 +17,8 @@ SPEED_RANGE_M_S = (0.005, 0.4)
 FORCE_RANGE_N = (0.1, 5.0)
 SPEEDS = 64
 """Steady strokes use a grid of speeds: the expectation of a window needs one matrix per speed."""
+FORCES = 24
+"""And a grid of forces: a surface smoothed by one contact radius serves many strokes."""
 STIFFNESS_RANGE_N_M = (8e2, 4e5)
 DAMPING_RANGE = (0.05, 0.8)
 FRICTION_RANGE = (0.1, 1.3)
@@ -45,16 +47,22 @@ def speed_grid() -> Float:
     return np.geomspace(*SPEED_RANGE_M_S, SPEEDS)
 
 
+def force_grid() -> Float:
+    return np.geomspace(*FORCE_RANGE_N, FORCES)
+
+
 def steady_strokes(
     surfaces: Sequence[Surface], per_surface: int, seed: int, *, middle_share: float = 0.0
 ) -> list[Steady]:
     """per_surface conditions on each surface, log-uniform in speed and force, two thirds with the pen.
 
-    middle_share of them keep to the middle ranges, to the pen and to the surface's own mechanics.
+    middle_share of them keep to the middle ranges, to the pen and to the surface's own mechanics. Directions are
+    uniform over the circle: any fixed one lies between those trained on.
     """
     rng = np.random.default_rng(seed)
-    grid = speed_grid()
-    low, high = np.searchsorted(grid, MIDDLE_SPEED_M_S)
+    forces = force_grid()
+    low, high = np.searchsorted(speed_grid(), MIDDLE_SPEED_M_S)
+    lightest, firmest = np.searchsorted(forces, MIDDLE_FORCE_N)
     strokes = []
     for index, surface in enumerate(surfaces):
         for draw in range(per_surface):
@@ -67,7 +75,7 @@ def steady_strokes(
                     probe="pen" if middle or draw % 3 else "finger",
                     speed=int(rng.integers(low, high)) if middle else int(rng.integers(SPEEDS)),
                     angle=float(rng.uniform(0.0, 2.0 * np.pi)),
-                    force=float(np.exp(rng.uniform(*np.log(MIDDLE_FORCE_N if middle else FORCE_RANGE_N)))),
+                    force=float(forces[rng.integers(lightest, firmest) if middle else rng.integers(FORCES)]),
                     start=(float(rng.uniform(0.0, 0.02)), float(rng.uniform(0.0, 0.02))),
                 )
             )

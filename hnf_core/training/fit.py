@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ..field.carriers import Carriers
 from ..field.features import DIRECTION_AT, build_inputs
 from ..field.field import FieldConfig, initial_parameters
 from ..field.linear_contact import Condition
-from ..field.lines import PRIOR_COLUMNS
 from ..material.mechanics import Mechanics
 from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, TOKEN_DIM
 from .conditions import Steady, speed_grid, withhold
@@ -77,46 +78,73 @@ def condition_of(strokes: Sequence[Steady], tokens: NDArray[np.float32], mechani
     )
 
 
+def network_inputs(
+    config: FieldConfig, strokes: Sequence[Steady], tokens: NDArray[np.float32], mechanics: Sequence[Mechanics]
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """x (n, D), prior (n, K …) and gate (n, K) of strokes with any probes; tokens by their surface."""
+    parts: list[NDArray[np.float32]] = []
+    for probe in sorted({stroke.probe for stroke in strokes}):
+        rows = np.array([row for row, stroke in enumerate(strokes) if stroke.probe == probe])
+        inputs = build_inputs(
+            condition_of([strokes[row] for row in rows], tokens, [mechanics[row] for row in rows]),
+            config.carriers,
+            config.physics,
+            config.action_octaves,
+            config.directed,
+            config.line_gains,
+        )
+        found = (inputs.x, inputs.prior, inputs.gate)
+        parts = parts or [np.zeros((len(strokes), part.shape[1]), dtype=np.float32) for part in found]
+        for whole, part in zip(parts, found, strict=True):
+            whole[rows] = part
+    return parts[0], parts[1], parts[2]
+
+
 def training_set(
-    config: FieldConfig, strokes: Sequence[Steady], tokens: NDArray[np.float32], power: Float, variants: int, seed: int
+    config: FieldConfig,
+    strokes: Sequence[Steady],
+    tokens: NDArray[np.float32],
+    power: Float,
+    variants: int,
+    seed: int,
+    elsewhere: Sequence[int] | None = None,
 ) -> TrainingSet:
-    """Network inputs of every stroke, with variants − 1 random draws of unknown mechanics."""
+    """Network inputs of every stroke: as they are, then variants − 1 draws of unknown mechanics.
+
+    elsewhere: for every stroke another surface of the same material; the later half of the variants, itself beginning
+    with known mechanics, describes the material by that one's token. What a token says beyond the material is an
+    accident of its patch, and the field is asked about patches that nobody stroked.
+    """
     rng = np.random.default_rng(seed)
-    count, known = len(strokes), [stroke.mechanics for stroke in strokes]
-    xs, priors, gate = [], [], np.zeros((count, config.carriers.count), dtype=np.float32)
+    known = [stroke.mechanics for stroke in strokes]
+    there = strokes if elsewhere is None else [replace(s, surface=e) for s, e in zip(strokes, elsewhere, strict=True)]
+    half = variants if elsewhere is None else (variants + 1) // 2
+    found = []
     for variant in range(variants):
-        mechanics = known if variant == 0 else [withhold(each, rng) for each in known]
-        x = np.zeros((count, config.shapes()["layer0.weight"][1]), dtype=np.float32)
-        prior = np.zeros((count, config.carriers.count + PRIOR_COLUMNS * config.line_gains), dtype=np.float32)
-        for probe in sorted({stroke.probe for stroke in strokes}):
-            rows = np.array([row for row, stroke in enumerate(strokes) if stroke.probe == probe])
-            inputs = build_inputs(
-                condition_of([strokes[row] for row in rows], tokens, [mechanics[row] for row in rows]),
-                config.carriers,
-                config.physics,
-                config.action_octaves,
-                config.directed,
-                config.line_gains,
-            )
-            x[rows], prior[rows], gate[rows] = inputs.x, inputs.prior, inputs.gate
-        xs.append(x)
-        priors.append(prior)
-    speed = torch.tensor([stroke.speed for stroke in strokes])
+        mechanics = known if variant in (0, half) else [withhold(each, rng) for each in known]
+        found.append(network_inputs(config, strokes if variant < half else there, tokens, mechanics))
     return TrainingSet(
-        torch.tensor(np.stack(xs)), torch.tensor(np.stack(priors)), torch.tensor(gate), speed,
+        torch.tensor(np.stack([each[0] for each in found])),
+        torch.tensor(np.stack([each[1] for each in found])),
+        torch.tensor(found[0][2]),
+        torch.tensor([stroke.speed for stroke in strokes]),
         torch.tensor(power, dtype=torch.float32),
-    )  # fmt: skip
+    )
+
+
+@lru_cache(maxsize=2)
+def _matrices(carriers: Carriers) -> tuple[Tensor, Tensor]:
+    time, arc = expectation_matrices(carriers, speed_grid())
+    return torch.tensor(time, dtype=torch.float32), torch.tensor(arc, dtype=torch.float32)
 
 
 class Likelihood:
     """Expected power of steady strokes and its negative log-likelihood."""
 
     def __init__(self, config: FieldConfig) -> None:
-        time, arc = expectation_matrices(config.carriers, speed_grid())
         self.carriers = config.carriers
-        self.time = torch.tensor(time, dtype=torch.float32)
-        self.arc = torch.tensor(arc, dtype=torch.float32)
-        self.weight = torch.ones(time.shape[1] + 1)
+        self.time, self.arc = _matrices(config.carriers)
+        self.weight = torch.ones(self.time.shape[1] + 1)
         self.weight[FINE_BINS:-1] = COARSE_WEIGHT
         self.weight[-1] = TOTAL_WEIGHT
         self.width = torch.tensor(bin_widths(), dtype=torch.float32)
@@ -150,7 +178,7 @@ def fit(config: FieldConfig, data: TrainingSet, schedule: Schedule, seed: int) -
     likelihood = Likelihood(config)
     generator = torch.Generator().manual_seed(seed)
     trained = [parameter for parameter in network.parameters() if parameter.requires_grad]
-    optimiser = torch.optim.AdamW(trained, lr=schedule.learning_rate, weight_decay=schedule.decay)
+    optimiser = torch.optim.AdamW(trained, lr=schedule.learning_rate, weight_decay=schedule.decay, foreach=True)
     count, variants = len(data.speed), len(data.x)
     steps = schedule.epochs * math.ceil(count / schedule.batch)
     anneal = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps, schedule.learning_rate * 0.01)
@@ -167,7 +195,7 @@ def fit(config: FieldConfig, data: TrainingSet, schedule: Schedule, seed: int) -
             loss = likelihood(amplitude, data.speed[rows], data.power[rows]) + schedule.ridge * head.square().mean()
             optimiser.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
-            torch.nn.utils.clip_grad_norm_(trained, 1.0)
+            torch.nn.utils.clip_grad_norm_(trained, 1.0, foreach=True)
             optimiser.step()
             anneal.step()
             total += float(loss.detach()) * len(rows)

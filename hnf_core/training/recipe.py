@@ -1,93 +1,80 @@
-"""How the shipped weights come about: simulated strokes on library and random surfaces, fitted by likelihood."""
+"""How the shipped weights come about: simulated strokes on many materials, fitted by likelihood, held to long runs."""
 
 from __future__ import annotations
 
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from hashlib import blake2b
 from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from .. import simulation as simulation_room
 from ..action.smooth import steady_action
 from ..field.field import Field, FieldConfig
 from ..field.ranges import Ranges, ranges_of
-from .conditions import Steady, speed_grid, steady_strokes
-from .fit import DENSITY_FLOOR, Likelihood, Schedule, TrainingSet, fit, training_set
+from ..material import contact
+from .conditions import speed_grid
+from .fit import Schedule, fit, training_set
+from .gathering import Gathered, Sizes, gather, load_gathered, save_gathered, specimens_of
 from .model import FieldNetwork
-from .recordings import FINE_BINS, bin_widths, record
-from .surfaces import library_surfaces, random_surfaces
+from .references import (
+    Condition,
+    References,
+    load_references,
+    middle_conditions,
+    on_new_patches_db,
+    refer,
+    save_references,
+)
+from .surfaces import Specimen
 
 Float = NDArray[np.float64]
 
 LICENCE = "GPL-3.0-or-later"
+SHARED = FieldConfig(hidden=256, line_gains=True)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Sizes of the training run. random, held_out: surfaces (held out ones are never trained on). draws: tiles per
-    library material. strokes: per random surface; library_strokes: per library tile, middle_share of
-    them where strokes mostly are. seconds: of each stroke."""
+    """variants: draws of withheld mechanics and of the patch that describes the material, see training_set."""
 
-    random: int = 210
-    held_out: int = 30
-    draws: int = 2
-    strokes: int = 20
-    library_strokes: int = 50
-    middle_share: float = 0.6
-    seconds: float = 0.3
+    sizes: Sizes = field(default_factory=Sizes)
+    schedule: Schedule = field(default_factory=lambda: Schedule(epochs=40, batch=64, token_noise=0.15, ridge=1e-4))
     variants: int = 4
-    schedule: Schedule = field(default_factory=Schedule)
 
 
-@dataclass(frozen=True)
-class Fit:
-    """distance_db: median over strokes of the RMS distance between expected and recorded spectrum, bins 1–100.
-    bias_db: median error of total power. spread_db: half the 10–90 % range of it."""
+def train(library: Path, plan: Plan, config: FieldConfig, seed: int, cache: Path, workers: int = 2) -> Field:
+    """The whole recipe. Deterministic: the same seed gives the same weights on the same machine and torch.
 
-    distance_db: float
-    bias_db: float
-    spread_db: float
-
-
-def train(library: Path, plan: Plan, config: FieldConfig, seed: int, workers: int = 2) -> Field:
-    """The whole recipe. Deterministic: the same seed gives the same weights on the same machine and torch."""
-    torch.set_num_threads(1)
+    cache: folder where simulated strokes are kept for the next run.
+    """
     began = time.monotonic()
-    surfaces = library_surfaces(library, plan.draws, workers)
-    own = len(surfaces)
-    surfaces += random_surfaces(plan.random + plan.held_out, seed, workers)
-    print(f"{len(surfaces)} surfaces after {time.monotonic() - began:.0f} s", file=sys.stderr)
-    strokes = steady_strokes(surfaces[:own], plan.library_strokes, seed + 1, middle_share=plan.middle_share)
-    strokes += [
-        replace(stroke, surface=stroke.surface + own)
-        for stroke in steady_strokes(surfaces[own:], plan.strokes, seed + 2)
-    ]
-    power = record(surfaces, strokes, plan.seconds, workers)
-    tokens = np.stack([surface.token for surface in surfaces])
-    data = training_set(config, strokes, tokens, power, plan.variants, seed)
-    test = np.array([stroke.surface >= own + plan.random for stroke in strokes])
-    network = fit(config, select(data, ~test), plan.schedule, seed)
-    fits = {
-        "held-out, mechanics known": evaluate_fit(network, select(data, test), 0),
-        "held-out, some unknown": evaluate_fit(network, select(data, test), 1),
-        "library": evaluate_fit(network, select(data, np.array([stroke.surface < own for stroke in strokes])), 0),
-    }
-    metrics = "; ".join(
-        f"{name}: spectrum {each.distance_db:.2f} dB, power {each.bias_db:+.2f} ± {each.spread_db:.2f} dB"
-        for name, each in fits.items()
+    gathered = gathered_for(library, plan, seed, cache, workers)
+    references = references_for(specimens_of(library, plan.sizes), middle_conditions(), seed, cache, workers)
+    print(f"simulated after {time.monotonic() - began:.0f} s", file=sys.stderr)
+    network = fit_gathered(gathered, plan, config, seed)
+    distance = on_new_patches_db(network, references)
+    metrics = (
+        f"average spectrum, {len(distance)} materials x {len(references.conditions)} conditions, tokens of patches not "
+        f"trained on, against long runs of the simulator: median {np.median(distance):.2f} dB, "
+        f"90 % below {np.percentile(distance, 90):.2f} dB, worst {distance.max():.2f} dB "
+        f"({gathered.names[int(np.argmax(distance))]}); the references themselves scatter by "
+        f"{float(np.median(references.scatter_db)):.2f} dB"
     )
     print(metrics, file=sys.stderr)
     print(f"trained in {time.monotonic() - began:.0f} s", file=sys.stderr)
+    sizes = plan.sizes
     return Field(
-        config, network.parameters_numpy(),
-        _ranges([stroke for stroke, held in zip(strokes, test, strict=True) if not held], tokens),
+        config, network.parameters_numpy(), ranges_of_gathered(gathered, sizes.seconds),
         {
-            "training_data": f"contact simulator of this project: {own} library tiles, {plan.random} random and fused "
-            f"surfaces, {int((~test).sum())} steady strokes of {plan.seconds:g} s, pen and finger; no recorded data",
+            "training_data": f"contact simulator of this project: {len(gathered.names)} materials of "
+            f"{len(set(gathered.classes))} classes x {sizes.patches} patches, {sizes.random} random and fused "
+            f"surfaces, {len(gathered.strokes)} steady strokes of {sizes.seconds:g} s, pen and finger, none recorded",
             "seed": str(seed),
             "metrics": metrics,
             "licence": LICENCE,
@@ -95,28 +82,50 @@ def train(library: Path, plan: Plan, config: FieldConfig, seed: int, workers: in
     )  # fmt: skip
 
 
-def select(data: TrainingSet, rows: NDArray[np.bool_]) -> TrainingSet:
-    index = torch.tensor(np.flatnonzero(rows))
-    return TrainingSet(data.x[:, index], data.prior[:, index], data.gate[index], data.speed[index], data.power[index])
+def fit_gathered(gathered: Gathered, plan: Plan, config: FieldConfig, seed: int) -> FieldNetwork:
+    """One field for all strokes gathered."""
+    torch.set_num_threads(1)
+    rng = np.random.default_rng(seed)
+    elsewhere = [gathered.other_patch(stroke, rng) for stroke in gathered.strokes]
+    data = training_set(config, gathered.strokes, gathered.tokens, gathered.power, plan.variants, seed, elsewhere)
+    return fit(config, data, plan.schedule, seed)
 
 
-def evaluate_fit(network: FieldNetwork, data: TrainingSet, variant: int) -> Fit:
-    """Against single recordings of each stroke: their own scatter (some 1.5–2 dB) is inside distance_db."""
-    with torch.no_grad():
-        amplitude = network.steady_amplitude(data.x[variant], data.prior[variant], data.gate)
-        expected = Likelihood(network.config).expected(amplitude, data.speed).numpy().astype(np.float64)
-    recorded = data.power.numpy().astype(np.float64) + DENSITY_FLOOR
-    width = bin_widths()
-    level = 10.0 * np.log10(expected / recorded)[:, :FINE_BINS]
-    total = 10.0 * np.log10((expected @ width) / (recorded @ width))
-    low, high = np.percentile(total, [10, 90])
-    return Fit(
-        float(np.median(np.sqrt(np.mean(np.square(level), axis=1)))), float(np.median(total)), float(high - low) / 2.0
-    )
+def gathered_for(library: Path, plan: Plan, seed: int, cache: Path, workers: int) -> Gathered:
+    """Simulate, or read what an earlier run with the same simulator, library, sizes and seed has left in the cache."""
+    path = cache / f"strokes-{_key(library.read_bytes(), plan.sizes, seed)}.safetensors"
+    if path.exists():
+        return load_gathered(path)
+    gathered = gather(specimens_of(library, plan.sizes), plan.sizes, seed, workers)
+    save_gathered(path, gathered)
+    return gathered
 
 
-def _ranges(strokes: Sequence[Steady], tokens: NDArray[np.float32]) -> Ranges:
-    grid = speed_grid()
-    actions = [steady_action(0.0, float(grid[each.speed]), each.force, each.angle, each.probe) for each in strokes]
-    trained = tokens[sorted({each.surface for each in strokes})]
-    return ranges_of(actions, trained, [each.mechanics for each in strokes], withheld=True)
+def references_for(
+    specimens: Sequence[Specimen], conditions: Sequence[Condition], seed: int, cache: Path, workers: int
+) -> References:
+    """Long runs, likewise kept in the cache."""
+    path = cache / f"references-{_key(b'', (list(specimens), list(conditions)), seed)}.safetensors"
+    if path.exists():
+        return load_references(path, specimens, conditions)
+    references = refer(specimens, conditions, seed, workers)
+    save_references(path, references)
+    return references
+
+
+def ranges_of_gathered(gathered: Gathered, seconds: float) -> Ranges:
+    """Where the strokes lay, in the terms of field.ranges."""
+    speeds = speed_grid()
+    actions = [
+        steady_action(seconds, float(speeds[s.speed]), s.force, s.angle, s.probe)
+        for s in gathered.strokes
+    ]  # fmt: skip
+    return ranges_of(actions, gathered.tokens, [s.mechanics for s in gathered.strokes], withheld=True)
+
+
+def _key(content: bytes, sizes: object, seed: int) -> str:
+    digest = blake2b(content, digest_size=8)
+    digest.update(repr((sizes, seed)).encode())
+    for source in (*sorted(Path(simulation_room.__path__[0]).glob("*.py")), Path(contact.__file__)):
+        digest.update(source.read_bytes())
+    return digest.hexdigest()

@@ -25,7 +25,7 @@ FINE_BINS = 100
 COARSE_EDGES_HZ = 1000.0 * 5.0 ** (np.arange(8) / 7.0)
 """Above, seven bands to 5 kHz, so that the total power is right too."""
 SETTLE_S = 0.06
-BATCH = 256
+BATCH = 512
 
 
 def observed(power: Float) -> Float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..material.encoder import describe
 from ..material.mechanics import Mechanics
+from ..simulation.classes import classes, instance, seed_of
 from ..simulation.recipes import random_recipe
 from ..simulation.sampling import SmoothedMaps
 from ..simulation.surface import TILE_PIXELS, TILE_SIZE_M, SurfaceRecipe, height_map, wavenumbers
@@ -59,12 +61,43 @@ def random_surfaces(count: int, seed: int, workers: int = 1) -> list[Surface]:
     return _made(jobs, workers)
 
 
-def library_surfaces(path: Path, draws: int, workers: int = 1) -> list[Surface]:
-    """draws tiles of every material in a library file, the first with its own seed, each with its own mechanics."""
-    jobs: list[Job] = []
-    for entry in json.loads(path.read_text(encoding="utf-8"))["materials"]:
-        recipe, mechanics = SurfaceRecipe.from_dict(entry["recipe"]), Mechanics(**entry["mechanics"])
-        jobs += [(entry["name"], height_map(recipe, int(entry["seed"]) + draw), mechanics) for draw in range(draws)]
+@dataclass(frozen=True)
+class Specimen:
+    """One material: a surface process with its mechanics. name: unique. class_name: of simulation.classes. seed: of its
+    first patch; a later patch of the same material has a later one."""
+
+    name: str
+    class_name: str
+    recipe: SurfaceRecipe
+    mechanics: Mechanics
+    seed: int
+
+
+def library_specimens(path: Path) -> list[Specimen]:
+    """The materials of a library file; each is named after its class."""
+    return [
+        Specimen(entry["name"], entry["name"], SurfaceRecipe.from_dict(entry["recipe"]),
+                 Mechanics(**entry["mechanics"]), int(entry["seed"]))
+        for entry in json.loads(path.read_text(encoding="utf-8"))["materials"]
+    ]  # fmt: skip
+
+
+def class_specimens(seeds: Sequence[int]) -> list[Specimen]:
+    """One instance of every class for each seed."""
+    return [
+        Specimen(f"{name}/{seed}", name, *instance(name, seed), seed_of(f"{name}/{seed}"))
+        for seed in seeds
+        for name in classes()
+    ]
+
+
+def patches(specimens: Sequence[Specimen], first: int, count: int, workers: int = 1) -> list[Surface]:
+    """Patches first … first + count − 1 of every specimen, described; those of one specimen stand together."""
+    jobs: list[Job] = [
+        (each.name, height_map(each.recipe, each.seed + first + index), each.mechanics)
+        for each in specimens
+        for index in range(count)
+    ]
     return _made(jobs, workers)
 
 

@@ -1,0 +1,147 @@
+"""What the shared field is trained on: surfaces, strokes over them, and what was felt. Kept on disk between runs."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import FileError
+from ..files import write_bytes
+from ..material.mechanics import PROBES, Mechanics
+from .conditions import Steady, steady_strokes
+from .recordings import record
+from .surfaces import Specimen, class_specimens, library_specimens, patches, random_surfaces
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """instances: of every class, beside the library's own. patches: per material. strokes: per patch, of `seconds`,
+    middle_share of them where strokes mostly are. random: surfaces of no material; random_strokes: on each."""
+
+    instances: int = 1
+    patches: int = 2
+    strokes: int = 70
+    middle_share: float = 0.7
+    random: int = 150
+    random_strokes: int = 16
+    seconds: float = 0.3
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """names, classes: one per material, in words. material: (surfaces,) index, −1 for a surface of no material.
+    tokens: (surfaces, TOKEN_DIM). power: (strokes, 107) observed."""
+
+    names: tuple[str, ...]
+    classes: tuple[str, ...]
+    material: NDArray[np.int64]
+    tokens: NDArray[np.float32]
+    strokes: tuple[Steady, ...]
+    power: Float
+
+    def material_of_strokes(self) -> NDArray[np.int64]:
+        """(strokes,) index, −1 for none."""
+        return self.material[[stroke.surface for stroke in self.strokes]]
+
+    def only(self, rows: NDArray[np.bool_]) -> Gathered:
+        """The same surfaces, some of the strokes."""
+        kept = tuple(stroke for stroke, row in zip(self.strokes, rows, strict=True) if row)
+        return replace(self, strokes=kept, power=self.power[rows])
+
+    def other_patch(self, stroke: Steady, rng: np.random.Generator) -> int:
+        """Another surface of the same material at random; the stroke's own where there is no other."""
+        if self.material[stroke.surface] < 0:
+            return stroke.surface
+        same = np.flatnonzero(self.material == self.material[stroke.surface])
+        others = same[same != stroke.surface]
+        return int(rng.choice(others)) if len(others) else stroke.surface
+
+
+def specimens_of(library: Path, sizes: Sizes) -> list[Specimen]:
+    """The library's materials, then the instances of every class."""
+    return library_specimens(library) + class_specimens(range(1, sizes.instances + 1))
+
+
+def gather(specimens: Sequence[Specimen], sizes: Sizes, seed: int, workers: int = 2) -> Gathered:
+    """Simulate everything. The result depends on the seed, not on the number of workers."""
+    surfaces = patches(specimens, 0, sizes.patches, workers)
+    own = len(surfaces)
+    surfaces += random_surfaces(sizes.random, seed, workers)
+    print(f"{len(surfaces)} surfaces", file=sys.stderr)
+    strokes = steady_strokes(surfaces[:own], sizes.strokes, seed + 1, middle_share=sizes.middle_share)
+    strokes += [
+        replace(stroke, surface=stroke.surface + own)
+        for stroke in steady_strokes(surfaces[own:], sizes.random_strokes, seed + 2)
+    ]
+    material = np.full(len(surfaces), -1)
+    material[:own] = np.repeat(np.arange(len(specimens)), sizes.patches)
+    return Gathered(
+        names=tuple(each.name for each in specimens),
+        classes=tuple(each.class_name for each in specimens),
+        material=material,
+        tokens=np.stack([surface.token for surface in surfaces]),
+        strokes=tuple(strokes),
+        power=record(surfaces, strokes, sizes.seconds, workers),
+    )
+
+
+_COLUMNS = ("surface", "stiffness", "damping", "friction", "probe", "speed", "angle", "force", "start_x", "start_y")
+
+
+def save_gathered(path: Path, gathered: Gathered) -> None:
+    """Write as safetensors. Every stroke's mechanics must be known. Raises FileError."""
+    from safetensors.numpy import save
+
+    table = np.array(
+        [
+            (s.surface, s.mechanics.stiffness_n_m, s.mechanics.damping_ratio, s.mechanics.friction,
+             list(PROBES).index(s.probe), s.speed, s.angle, s.force, *s.start)
+            for s in gathered.strokes
+        ],
+        dtype=np.float64,
+    )  # fmt: skip
+    tensors: dict[str, NDArray[Any]] = {
+        "material": gathered.material,
+        "tokens": gathered.tokens,
+        "strokes": table,
+        "power": gathered.power,
+    }
+    metadata = {"names": "\n".join(gathered.names), "classes": "\n".join(gathered.classes)}
+    write_bytes(path, save(tensors, metadata=metadata))
+
+
+def load_gathered(path: Path) -> Gathered:
+    """What save_gathered wrote. Raises FileError where it cannot be read."""
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, framework="numpy") as file:
+            tensors = {name: file.get_tensor(name) for name in ("material", "tokens", "strokes", "power")}
+            names, classes = (tuple(file.metadata()[key].split("\n")) for key in ("names", "classes"))
+    except (OSError, SafetensorError, KeyError, TypeError) as error:
+        raise FileError(
+            f"no gathered strokes ({error}).", where=str(path), remedy="Delete it to simulate again."
+        ) from error
+    strokes = []
+    for row in tensors["strokes"]:
+        each = dict(zip(_COLUMNS, row, strict=True))
+        strokes.append(
+            Steady(
+                surface=int(each["surface"]),
+                mechanics=Mechanics(each["stiffness"], each["damping"], each["friction"]),
+                probe=tuple(PROBES)[int(each["probe"])],
+                speed=int(each["speed"]),
+                angle=float(each["angle"]),
+                force=float(each["force"]),
+                start=(float(each["start_x"]), float(each["start_y"])),
+            )
+        )
+    return Gathered(names, classes, tensors["material"], tensors["tokens"], tuple(strokes), tensors["power"])

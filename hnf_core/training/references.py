@@ -1,0 +1,156 @@
+"""Long-run spectra of the simulator, and how far a field's expectation lies from them.
+
+The distance is that of the benchmark: RMS over 10 Hz bins in 10–1000 Hz, within 30 dB of the reference's peak.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..errors import FileError
+from ..field.field import FieldConfig
+from ..files import write_bytes
+from .conditions import Steady, speed_grid
+from .fit import Likelihood, network_inputs
+from .model import FieldNetwork
+from .recordings import FINE_BINS, record
+from .surfaces import Specimen, Surface, patches
+
+Float = NDArray[np.float64]
+
+FIRST_PATCH = 100
+"""Patches of references are never trained on."""
+PATCHES, STARTS, SECONDS = 3, 3, 1.0
+"""9 s per condition: their mean scatters by some 0.35 dB per bin."""
+WITHIN_DB = 30.0
+SPEEDS_AND_FORCES = ((0.05, 1.0), (0.1, 0.5), (0.1, 1.0), (0.1, 2.0), (0.2, 1.0), (0.15, 0.7))
+ANGLES_RAD = np.radians([10.0, 77.0, 33.0, 121.0, 154.0, 55.0])
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A steady stroke with the pen. speed: index into speed_grid(). force: N. angle: rad."""
+
+    speed: int
+    force: float
+    angle: float
+
+
+def middle_conditions() -> list[Condition]:
+    """Six: speed and force about the middle, directions between the tile's axes."""
+    grid = speed_grid()
+    return [
+        Condition(int(np.argmin(np.abs(np.log(grid / speed)))), force, float(angle))
+        for (speed, force), angle in zip(SPEEDS_AND_FORCES, ANGLES_RAD, strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class References:
+    """tokens: (M, PATCHES, TOKEN_DIM) of the patches referred to. spectra: (M, C, FINE_BINS) mean over all of them.
+    scatter_db: (M, C) standard error of a bin, RMS over the bins that count."""
+
+    specimens: tuple[Specimen, ...]
+    conditions: tuple[Condition, ...]
+    tokens: NDArray[np.float32]
+    spectra: Float
+    scatter_db: Float
+
+    def inside(self) -> NDArray[np.bool_]:
+        """(M, C, FINE_BINS) bins within WITHIN_DB of the peak."""
+        return np.asarray(self.spectra >= self.spectra.max(axis=-1, keepdims=True) * 10.0 ** (-WITHIN_DB / 10.0))
+
+
+def refer(
+    specimens: Sequence[Specimen],
+    conditions: Sequence[Condition],
+    seed: int,
+    workers: int = 2,
+    seconds: float = SECONDS,
+) -> References:
+    """Simulate every material under every condition, with its own mechanics. seconds: of each of its strokes."""
+    surfaces: list[Surface] = patches(specimens, FIRST_PATCH, PATCHES, workers)
+    rng = np.random.default_rng(seed)
+    strokes = [
+        Steady(m * PATCHES + patch, each.mechanics, "pen", c.speed, c.angle, c.force,
+               (float(rng.uniform(0.0, 0.02)), float(rng.uniform(0.0, 0.02))))
+        for m, each in enumerate(specimens) for c in conditions for _ in range(STARTS) for patch in range(PATCHES)
+    ]  # fmt: skip
+    shape = (len(specimens), len(conditions), STARTS, PATCHES, -1)
+    power = record(surfaces, strokes, seconds, workers).reshape(shape)[..., :FINE_BINS]
+    thirds = power.mean(axis=3)
+    tokens = np.stack([surface.token for surface in surfaces]).reshape(len(specimens), PATCHES, -1)
+    whole = References(tuple(specimens), tuple(conditions), tokens, thirds.mean(axis=2), np.zeros(0))
+    error = (10.0 * np.log10(thirds)).std(axis=2, ddof=1) / np.sqrt(STARTS)
+    return replace(whole, scatter_db=_rms(error, whole.inside()))
+
+
+def expected_at(
+    network: FieldNetwork, references: References, tokens: NDArray[np.float32], mechanics_known: bool = True
+) -> Float:
+    """(M, C, FINE_BINS) that a field expects under the references' conditions. tokens: (M, TOKEN_DIM)."""
+    strokes = [
+        Steady(m, each.mechanics, "pen", c.speed, c.angle, c.force, (0.0, 0.0))
+        for m, each in enumerate(references.specimens)
+        for c in references.conditions
+    ]
+    mechanics = [stroke.mechanics if mechanics_known else replace(stroke.mechanics, stiffness_n_m=None,
+                 damping_ratio=None, friction=None) for stroke in strokes]  # fmt: skip
+    config: FieldConfig = network.config
+    x, prior, gate = (torch.tensor(part) for part in network_inputs(config, strokes, tokens, mechanics))
+    with torch.no_grad():
+        amplitude = network.steady_amplitude(x, prior, gate)
+        expected = Likelihood(config).expected(amplitude, torch.tensor([stroke.speed for stroke in strokes]))
+    return expected.numpy().astype(np.float64)[:, :FINE_BINS].reshape(references.spectra.shape)
+
+
+def distances_db(references: References, expected: Float) -> Float:
+    """(M, C) average-spectrum distance. expected: (M, C, FINE_BINS)."""
+    return _rms(10.0 * np.log10(expected / references.spectra), references.inside())
+
+
+def on_new_patches_db(network: FieldNetwork, references: References) -> Float:
+    """(M,) distance averaged over conditions and over the references' patches, each with its own token."""
+    patches_db = [
+        distances_db(references, expected_at(network, references, references.tokens[:, patch]))
+        for patch in range(references.tokens.shape[1])
+    ]
+    return np.asarray(np.mean(patches_db, axis=(0, 2)))
+
+
+def _rms(level: Float, inside: NDArray[np.bool_]) -> Float:
+    return np.asarray(np.sqrt(np.where(inside, np.square(level), 0.0).sum(axis=-1) / inside.sum(axis=-1)))
+
+
+def save_references(path: Path, references: References) -> None:
+    """Write as safetensors: what was simulated, not the specimens. Raises FileError."""
+    from safetensors.numpy import save
+
+    tensors: dict[str, NDArray[Any]] = {
+        "tokens": references.tokens,
+        "spectra": references.spectra,
+        "scatter_db": references.scatter_db,
+    }
+    write_bytes(path, save(tensors))
+
+
+def load_references(path: Path, specimens: Sequence[Specimen], conditions: Sequence[Condition]) -> References:
+    """What save_references wrote for these specimens and conditions. Raises FileError where it does not fit."""
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
+    try:
+        tensors = load(path.read_bytes())
+        found = References(tuple(specimens), tuple(conditions), **tensors)
+    except (OSError, SafetensorError, TypeError) as error:
+        raise FileError(f"no references ({error}).", where=str(path), remedy="Delete it to simulate again.") from error
+    if found.spectra.shape[:2] != (len(specimens), len(conditions)):
+        raise FileError("references of other materials.", where=str(path), remedy="Delete it to simulate again.")
+    return found

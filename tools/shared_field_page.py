@@ -1,0 +1,198 @@
+"""docs/shared-field.md from what tools/evaluate_shared_field.py has measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hnf_core.field.field import FieldConfig
+from hnf_core.training.recipe import SHARED
+from hnf_core.training.references import PATCHES, SECONDS, STARTS
+from hnf_core.training.shared_bars import mean_with_interval, own_config
+
+GAP_BARS = (0.5, 1.5, 0.2)
+RATIO_BAR_DB = 1.0
+ANISOTROPIC_DB = 6.0
+MARGIN_BAR_DB = 1.0
+
+
+def write_page(bench: Any, results: dict[str, dict[str, Any]], hidden: int, size: Callable[[FieldConfig], int]) -> str:
+    parts = [_head(bench), _gap(results["own"], bench, hidden), _storage(results["own"], bench, hidden),
+             _curve(results["curve"], results["own"], bench, size), _direction(results["direction"]),
+             _unseen(results["unseen"])]  # fmt: skip
+    return "\n\n".join(parts)
+
+
+def _head(bench: Any) -> str:
+    plan, gathered, references = bench.plan, bench.gathered, bench.references
+    seconds = PATCHES * STARTS * SECONDS
+    per = len(gathered.only(gathered.material_of_strokes() == 0).strokes)
+    return f"""# The shared field
+
+One field for {len(gathered.names)} materials of {len(set(gathered.classes))} classes: every library material and
+{plan.sizes.instances} more instance of every class, {plan.sizes.patches} patches each, {per} steady strokes of \
+{plan.sizes.seconds:g} s per material
+({per * plan.sizes.seconds:.0f} s), and {plan.sizes.random} surfaces of no material. Seed {bench.seed}. Written by
+
+    python tools/train_default_field.py && python tools/evaluate_shared_field.py > docs/shared-field.md
+
+*Distance* is the average-spectrum distance: RMS over 10 Hz bins in 10–1000 Hz within 30 dB of the reference's peak.
+*References* are long runs of the simulator, {seconds:.0f} s per condition ({PATCHES} patches never trained on, \
+{STARTS} places each), under
+{len(references.conditions)} conditions (50–200 mm/s, 0.5–2 N, six directions; pen, the material's own mechanics, \
+known to the field). They
+scatter by {float(np.median(references.scatter_db)):.2f} dB per bin themselves (median; worst \
+{float(references.scatter_db.max()):.2f} dB), which is inside every distance below. Tokens
+are those of the references' patches unless training tokens are named. A distance is the mean over conditions and
+patches."""
+
+
+def _gap(own: dict[str, Any], bench: Any, hidden: int) -> str:
+    alone, shared, seen = (np.array(own[key]) for key in ("own", "shared", "seen"))
+    new_gap, seen_gap = shared - alone, seen - alone
+    names = bench.gathered.names
+    worst = np.argsort(-new_gap)[:5]
+    rows = [
+        ("field of its own", alone, None),
+        ("shared, tokens of new patches", shared, new_gap),
+        ("shared, training tokens", seen, seen_gap),
+    ]
+    lines = [
+        f"| {label} | {np.median(d):.2f} | {np.percentile(d, 90):.2f} | {d.max():.2f} | "
+        + ("– | – |" if gap is None else f"{np.median(gap):+.2f} | {gap.max():+.2f} |")
+        for label, d, gap in rows
+    ]
+    widest = ", ".join(f"{names[m]} {new_gap[m]:+.2f} (own {alone[m]:.2f}, shared {shared[m]:.2f})" for m in worst)
+    over = int(np.sum(new_gap > GAP_BARS[1]))
+    return f"""## Beside per-material fields
+
+A per-material field has the same carriers and linear contact, two layers of {hidden}, and the strokes of its material
+alone ({len(alone)} fields, the same seconds per material as the shared one).
+
+| field | median dB | 90 % | worst | median gap | worst gap |
+|---|---|---|---|---|---|
+{chr(10).join(lines)}
+
+Bars: median gap ≤ {GAP_BARS[0]} dB: **{_met(np.median(new_gap) <= GAP_BARS[0])}**; worst ≤ {GAP_BARS[1]} dB: \
+**{_met(over == 0)}**{f" ({over} above)" if over else ""}; with training tokens, median ≤ {GAP_BARS[2]} dB: \
+**{_met(np.median(seen_gap) <= GAP_BARS[2])}**.
+Where the gap is widest: {widest}.
+Farthest off in absolute terms: {", ".join(f"{names[m]} {shared[m]:.2f}" for m in np.argsort(-shared)[:5])}."""
+
+
+def _storage(own: dict[str, Any], bench: Any, hidden: int) -> str:
+    some = own["some"]
+    shared = np.array(own["shared"])[some]
+    table = {**{int(key): np.array(value) for key, value in own["smaller"].items()}, hidden: np.array(own["own"])[some]}
+    count, file = len(bench.gathered.names), Path(bench.weights).stat().st_size
+    rows = [
+        f"| {count} × own, 2 × {width} | {np.median(values):.2f} | {values.max():.2f} | "
+        f"{count * own['bytes'][str(width)] / 1e6:.2f} MB |"
+        for width, values in sorted(table.items())
+    ]
+    return f"""## Storage
+
+On every {some[1] - some[0]}th material ({len(some)}):
+
+| fields | median dB | worst | storage of all {count} |
+|---|---|---|---|
+{chr(10).join(rows)}
+| one shared | {np.median(shared):.2f} | {shared.max():.2f} | {file / 1e6:.2f} MB |"""
+
+
+def _curve(curve: dict[str, Any], own: dict[str, Any], bench: Any, size: Callable[[FieldConfig], int]) -> str:
+    shared, alone = np.array(own["shared"]), np.array(own["own"])
+    rows = [f"| 1 each | {np.median(alone):.2f} | {alone.max():.2f} | – | "
+            f"{len(alone) * size(own_config(64)) / 1e6:.2f} MB for all |"]  # fmt: skip
+    for point in curve["points"]:
+        kept, distance = point["materials"], np.array(point["distance"])
+        rows.append(
+            f"| {len(kept)} | {np.median(distance):.2f} | {distance.max():.2f} | "
+            f"{np.median(shared[kept] - distance):+.2f} | {size(SHARED) / 1e6:.2f} MB |"
+        )
+    rows.append(
+        f"| {len(shared)} (shipped) | {np.median(shared):.2f} | {shared.max():.2f} | 0 | {size(SHARED) / 1e6:.2f} MB |"
+    )
+    return f"""## Number of materials
+
+The same network, schedule and surfaces of no material; fewer materials. The fourth column: what the shipped field loses
+on those same materials (median).
+
+| materials | median dB | worst | shipped − this, same materials | storage |
+|---|---|---|---|---|
+{chr(10).join(rows)}"""
+
+
+def _direction(direction: dict[str, Any]) -> str:
+    rows = direction["rows"]
+    strong = [row for row in rows if row["anisotropy_db"] >= ANISOTROPIC_DB]
+    met = {key: sum(row[key] <= RATIO_BAR_DB for row in strong) for key in ("ratio_db", "third_db", "power_db")}
+    lines = [
+        f"| {row['name']} | {row['anisotropy_db']:.1f} | {row['field_anisotropy_db']:.1f} | {row['ratio_db']:.2f} | "
+        f"{row['third_db']:.2f} | {row['power_db']:.2f} |"
+        for row in rows
+    ]
+    middle = {key: float(np.median([row[key] for row in strong])) if strong else float("nan") for key in met}
+    return f"""## Direction
+
+Eight directions 22.5° apart over half a turn, from 11.25° on, at 100 mm/s and 1 N. Training drew directions at random
+from the whole circle, so these lie between trained ones. *Ratio*: level of a direction's spectrum over that of the
+loudest direction, field against simulator, RMS over the other seven: per 10 Hz bin, in third octaves, and of the whole
+10–1000 Hz. One reference of a direction scatters by {direction["scatter"]:.2f} dB per bin, a ratio of two by \
+{direction["scatter"] * np.sqrt(2.0):.2f} dB.
+
+| material | anisotropy dB, simulator | field | ratio per bin dB | third octaves | power |
+|---|---|---|---|---|---|
+{chr(10).join(lines)}
+
+{len(strong)} of these have ≥ {ANISOTROPIC_DB:.0f} dB of anisotropy. Within {RATIO_BAR_DB:.0f} dB: \
+{met["power_db"]} in power, {met["third_db"]} in third octaves, {met["ratio_db"]} per bin
+(medians {middle["power_db"]:.2f}, {middle["third_db"]:.2f}, {middle["ratio_db"]:.2f} dB). Bar (per bin): \
+**{_met(len(strong) >= 5 and met["ratio_db"] == len(strong))}**."""
+
+
+def _unseen(unseen: dict[str, Any]) -> str:
+    rows = unseen["rows"]
+    by_class: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        by_class.setdefault(row["class_name"], []).append(row)
+    lines, margins = [], {"category_db": [], "nearest_db": []}  # type: ignore[var-annotated]
+    for name, members in by_class.items():
+        mean = {key: float(np.mean([m[key] for m in members])) for key in ("field_db", "category_db", "nearest_db")}
+        for key, found in margins.items():
+            found.append(mean[key] - mean["field_db"])
+        nearest = ", ".join(sorted({m["nearest"].partition("/")[0] for m in members}))
+        lines.append(
+            f"| {name} | {mean['field_db']:.2f} | {mean['category_db']:.2f} | {mean['nearest_db']:.2f} | {nearest} |"
+        )
+    told = {key: mean_with_interval(np.array(values), 0) for key, values in margins.items()}
+    return f"""## Classes never met
+
+Not the shipped weights: a field trained by the same recipe without the last class of every category in the table \
+({len(by_class)} classes, {len(rows)} materials;
+the {len(unseen["seen"])} materials that it was trained on: median {np.median(unseen["seen"]):.2f} dB on new patches). \
+The rivals are given the simulator's own long-run spectra, at the
+same u, of every other material: *category mean* averages the log spectra of the category's other materials, *nearest*
+takes the one nearest in token space.
+
+| class | field dB | category mean | nearest | which |
+|---|---|---|---|---|
+{chr(10).join(lines)}
+
+{_margin("category mean", told["category_db"])}
+{_margin("nearest neighbour", told["nearest_db"])}"""
+
+
+def _margin(name: str, told: Sequence[float]) -> str:
+    mean, low, high = told
+    return (
+        f"Margin over {name}: {mean:.2f} dB, 95 % interval {low:.2f} … {high:.2f} (bootstrap over classes); "
+        f"bar ≥ {MARGIN_BAR_DB:.0f} dB, interval above 0: **{_met(mean >= MARGIN_BAR_DB and low > 0.0)}**."
+    )
+
+
+def _met(true: bool) -> str:
+    return "met" if true else "missed"
