@@ -143,7 +143,8 @@ def _held_out(options: Options, field: Field) -> Extra | str:
     if len(names) < 2:
         return (
             "(c) Held-out classes: the weights name no classes that were kept from training "
-            '(metadata "held_out"); give some with --weights FILE.'
+            '(metadata "held_out", a JSON list); give some that do with --weights FILE. docs/shared-field.md judges a '
+            "field that was trained without a class of every category."
         )
     kept_away = set(held_out_names(field, library.materials))
     limits = library.action_range(names[0])

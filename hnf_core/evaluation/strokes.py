@@ -16,7 +16,7 @@ Diet = Literal["wandering", "circular", "circular and primitives"]
 """What a method learns from. wandering: speed, force and direction walk through their ranges. circular: as the paper's
 recordings. circular and primitives: HNF+, the eight synthetic classes of action added."""
 
-PIECE_S = 20.0
+PIECE_S = 5.0
 CIRCLE_M = 0.02
 CIRCLE_S = 5.0
 
