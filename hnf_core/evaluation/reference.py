@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..action.action import Action
 from ..datasets.recording import Process
-from ..metrics.limits import Limits, limits_of
+from ..metrics.limits import REALISATIONS, Limits, limits_of
 from ..metrics.magnitudes import window_magnitudes
 from ..metrics.spectra import WINDOW, welch
 
@@ -55,10 +55,10 @@ class Reference:
 def references(
     process: Process, strokes: Sequence[tuple[str, Action]], seed: int, realisations: int, renders: int
 ) -> list[Reference]:
-    """One Reference per named stroke, all equally long. Two seeds for the draws and one for the oracle, so that neither
-    stands on a single piece of surface."""
+    """One Reference per named stroke, all equally long. Two seeds for the draws (one for few), another for the oracle:
+    none stands on a single piece of surface."""
     actions = [action for _, action in strokes]
-    half = -(-realisations // 2)
+    half = -(-realisations // 2) if realisations >= REALISATIONS else realisations
     drawn = [_record(process, actions, 3 * seed + part, count) for part, count in ((0, half), (1, realisations - half))]
     oracle = _record(process, actions, 3 * seed + 2, renders)
     return [

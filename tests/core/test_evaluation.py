@@ -104,7 +104,7 @@ def test_tables_keep_the_forms_apart_and_always_show_the_limits(judged: Judged) 
     text = markdown(report)
     natural, benchmark = text.index("Natural forms: signals"), text.index("Expected-magnitude forms: for")
     assert natural < text.index("oracle: the true process", natural) < text.index("| perfect", natural) < benchmark
-    assert benchmark < text.index("| best: mean") < text.index("| noise as benchmark form")
+    assert benchmark < text.index("| best: the true process's mean") < text.index("| noise as benchmark form")
     assert "cannot learn this" in text
     record = json.loads(json.dumps(report.to_json()))
     assert record["schema"] == 1
