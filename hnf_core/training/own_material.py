@@ -55,7 +55,7 @@ def config_for(recordings: Sequence[Recording], *, arc: bool, token_known: bool)
         return FieldConfig(states=1, action_octaves=2, directed=directed)
     return FieldConfig(
         hidden=128, states=1, carriers=fine_carriers(Carriers().arc_octaves if arc else 0), physics=False,
-        action_octaves=2, directed=directed,
+        action_octaves=3, directed=directed,
     )  # fmt: skip
 
 
