@@ -14,10 +14,6 @@ from .field_methods import SharedField, TrainedField
 from .strokes import Diet
 
 
-LITERAL_EPOCHS = 20
-"""Of the published 100, at some four seconds each: under a smooth stroke it is silent after any number of them."""
-
-
 @dataclass(frozen=True)
 class Budget:
     """epochs, steps: of the methods trained by gradient, None = their own. weights: of the shared field."""
@@ -60,7 +56,7 @@ def entries() -> tuple[Entry, ...]:
             "circular and primitives",
             lambda budget: TrainedField("HNF+ with carriers, circles and eight primitives", epochs=budget.epochs),
         ),
-        Entry("hnf-literal", "circular", _literal, most=1),
+        Entry("hnf-literal", "circular", _literal, most=3),
         Entry(
             "field-expected",
             "wandering",
@@ -113,4 +109,4 @@ def _gacm(budget: Budget, improved: bool) -> Method:
 def _literal(budget: Budget) -> Method:
     from ..baselines.literal import LiteralHnf
 
-    return LiteralHnf(epochs=LITERAL_EPOCHS if budget.epochs is None else budget.epochs)
+    return LiteralHnf() if budget.epochs is None else LiteralHnf(epochs=budget.epochs)
