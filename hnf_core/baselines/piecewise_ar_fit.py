@@ -40,8 +40,9 @@ TRIAL_ITERATIONS = 30
 SILENT = 1e-4
 """Of the median power: less is silence (HaTT's own models are silent where nobody recorded), of which a likelihood
 without a floor would learn nothing but how silent."""
-INWARD = 0.9998
-"""Radius by which every pole of a start is drawn in: a pure tone would put one on the circle, where LSFs meet."""
+INWARD = (0.9998, 0.999, 0.995, 0.98)
+"""Radius by which every pole of a start is drawn in, the first that serves: a pure tone would put one on the circle,
+where LSFs meet."""
 LEVEL_STEP, GAP_STEP = 1.0, 0.2
 """What neighbours may differ by: standard deviation of log variance, and of the log of each gap between LSFs. Weak: a
 vertex that no piece came near takes after its neighbours."""
@@ -134,8 +135,10 @@ class Fitted:
 def fit(pieces: Pieces, grids: Sequence[tuple[int, int]] = GRIDS) -> Fitted:
     """The best of the grids that there are pieces for, fitted to all of them. Deterministic.
 
-    Raises FileError where no grid can be fitted.
+    Raises FileError where all pieces are silent or no grid can be fitted.
     """
+    if not pieces.body.any():
+        raise FileError("every steady piece is silent.", where="recordings", remedy="Look at the sensor's channel.")
     torch.set_num_threads(1)
     covariance = torch.from_numpy(covariances(pieces))
     held_out = np.arange(len(pieces.speed)) % HELD_OUT == HELD_OUT - 1
@@ -162,8 +165,7 @@ def fit_grid(
     """Greatest posterior given the pieces in `train`; loss of the others."""
     predictions = starts(pieces, grid, pieces.lead)
     order = choose_order(predictions, min(START_PIECES, len(pieces.speed)) * pieces.body.shape[1])
-    inward = INWARD ** np.arange(order + 1)
-    lsf = np.stack([lsf_from_polynomial(inward * each.polynomial(order)) for each in predictions])
+    lsf = np.stack([starting_lsf(each.polynomial(order)) for each in predictions])
     gaps = np.diff(np.concatenate([np.zeros((len(lsf), 1)), lsf, np.full((len(lsf), 1), np.pi)], axis=1), axis=1)
     shape = torch.tensor(np.log(gaps), requires_grad=True)
     level = torch.tensor(np.log([each.error[order] for each in predictions]), requires_grad=True)
@@ -208,6 +210,16 @@ def fit_grid(
         angles = torch.cumsum(torch.softmax(shape, dim=1), dim=1)[:, :-1] * torch.pi
         held = float(loss(other)) if len(other) else float(loss(rows))
         return Fitted(grid, angles.numpy().copy(), torch.exp(level).numpy().copy(), held)
+
+
+def starting_lsf(polynomial: Float) -> Float:
+    """LSFs of the polynomial with its poles drawn in. Raises FileError where none of INWARD tells them apart."""
+    for radius in INWARD:
+        try:
+            return lsf_from_polynomial(radius ** np.arange(len(polynomial)) * polynomial)
+        except ValueError:
+            continue
+    raise FileError("it is too pure a tone for an autoregressive model.", where="recordings", remedy="Leave AR out.")
 
 
 def neighbours(grid: Grid) -> Index:

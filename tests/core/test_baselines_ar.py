@@ -16,6 +16,7 @@ from hnf_core.baselines.piecewise_ar import PiecewiseAr  # noqa: E402
 from hnf_core.datasets.autoregressive import HattProcess, power_spectrum  # noqa: E402
 from hnf_core.datasets.hatt_models import TextureModel  # noqa: E402
 from hnf_core.datasets.line_spectra import lsf_from_polynomial, polynomial_from_lsf  # noqa: E402
+from hnf_core.datasets.recording import Recording  # noqa: E402
 from hnf_core.errors import FileError  # noqa: E402
 
 RATE = 10_000.0
@@ -176,3 +177,31 @@ def test_pieces_are_steady_and_touching(recordings):
     assert pieces.speed.min() > 0.02
     with pytest.raises(FileError, match="steady"):
         cut(recordings, 0, steady=1e-6)
+
+
+def test_one_speed_and_force_are_enough_for_one_model(process):
+    """A data set without actions: everything at one place; elsewhere HaTT's rule takes over."""
+    action = steady_action(4.0, 0.1, 1.0)
+    fitted = PiecewiseAr().fit(Specimen("steady", tuple(process.record([action], 2))), 0)
+    found, exact = (power_spectrum(model, 0.1, 1.0, BAND_HZ) for model in (fitted.model, process.model))
+    assert distance_db(found, exact) < 1.0
+
+
+def test_recordings_of_two_rates_and_silent_ones_are_refused(process):
+    action = steady_action(2.0, 0.1, 1.0)
+    fine = process.record([action], 2)[0]
+    slow = Recording(action, fine.samples[::2], 5000.0, "made", "slow.xml")
+    with pytest.raises(FileError, match="2 sample rates"):
+        PiecewiseAr().fit(Specimen("both", (fine, slow)), 0)
+    silent = Recording(action, np.zeros_like(fine.samples), RATE, "made", "silent.xml")
+    with pytest.raises(FileError, match="silent"):
+        PiecewiseAr().fit(Specimen("silent", (silent,)), 0)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(20.0, 4900.0), st.sampled_from((0.9, 0.999, 1.0)), st.integers(1, 11))
+def test_a_pure_tone_still_has_a_start(hz, radius, pairs):
+    polynomial = resonances(*[(hz, radius)] + [(200.0 + 400.0 * k, 0.8) for k in range(pairs)])
+    lsf = fitting.starting_lsf(polynomial)
+    assert np.all(np.diff(lsf) > 0.0)
+    assert len(lsf) == 2 * pairs + 2
