@@ -169,10 +169,11 @@ def main() -> int:
         found = {"weights": identity, **PARTS[part](bench)}
         (arguments.cache / f"{part}.json").write_text(json.dumps(found), encoding="utf-8")
         print(f"{part}: {time.monotonic() - began:.0f} s", file=sys.stderr)
-    results = {part: json.loads((arguments.cache / f"{part}.json").read_text(encoding="utf-8")) for part in PARTS}
-    stale = [part for part, found in results.items() if found["weights"] != identity]
+    files = {part: arguments.cache / f"{part}.json" for part in PARTS}
+    results = {part: json.loads(file.read_text(encoding="utf-8")) for part, file in files.items() if file.exists()}
+    stale = [part for part in PARTS if results.get(part, {}).get("weights") != identity]
     if stale:
-        print(f"of other weights: {stale}; run these parts again.", file=sys.stderr)
+        print(f"not measured with these weights: {stale}; run these parts too.", file=sys.stderr)
         return 1
     print(page(bench, results))
     return 0

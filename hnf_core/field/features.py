@@ -62,11 +62,13 @@ def build_inputs(
     action_octaves: int = 0,
     directed: bool = True,
     line_gains: bool = False,
+    stroke_frame: bool = False,
 ) -> Inputs:
     """Evaluate inputs at every state; without physics, x ends with the action and prior is 0.
 
     action_octaves: see encode_action. directed: False leaves direction out (0), so that nothing depends on it.
-    line_gains: keep the tones apart (see lines); needs physics and arc carriers.
+    line_gains: keep the tones apart (see lines); needs physics and arc carriers. stroke_frame: the network sees the
+    token as the stroke meets it, and d only in that.
     """
     speed = np.maximum(condition.speed, SPEED_FLOOR_M_S)
     force = np.maximum(condition.force, FORCE_FLOOR_N)
@@ -74,10 +76,10 @@ def build_inputs(
     gate = np.repeat(np.where(condition.contact, moving, 0.0)[:, None], carriers.count, axis=1)
     gate[:, carriers.arc_slice] *= arc_gain(carriers.arc_centres(), speed)
     columns = [
-        normalised_tokens(condition.tokens),
+        normalised_tokens(seen_from(condition.tokens, condition.direction) if stroke_frame else condition.tokens),
         np.array([mechanics_columns(m) for m in condition.mechanics])[condition.material],
         np.tile([float(name == condition.probe) for name in PROBE_NAMES], (len(speed), 1)),
-        condition.direction if directed else np.zeros_like(condition.direction),
+        condition.direction if directed and not stroke_frame else np.zeros_like(condition.direction),
         np.log(speed / 0.1)[:, None],
         np.log(force)[:, None],
         encode_action(condition.direction, speed, force, action_octaves, directed),
@@ -121,6 +123,21 @@ def encode_action(direction: Float, speed: Float, force: Float, octaves: int, di
                             (turn, directed)):  # fmt: skip
             columns += [np.sin(phase) * told, np.cos(phase) * told]
     return np.stack(columns, axis=1) if columns else np.zeros((len(speed), 0))
+
+
+def seen_from(tokens: Float, direction: Float) -> Float:
+    """Tokens (n, TOKEN_DIM) with their moments of direction turned into the frame of unit vectors d (n, 2).
+
+    What depends on them alone cannot tell a surface and a stroke both turned from the same two unturned, nor d from −d.
+    """
+    turned = np.array(tokens, dtype=np.float64)
+    angle = np.arctan2(direction[:, 1], direction[:, 0])[:, None]
+    first = np.arange(len(BAND_WAVELENGTHS_M)) * len(BAND_FEATURES)
+    for fold, name in ((2.0, "cos2"), (4.0, "cos4")):
+        at = first + BAND_FEATURES.index(name)
+        moment = (turned[:, at] + 1j * turned[:, at + 1]) * np.exp(-1j * fold * angle)
+        turned[:, at], turned[:, at + 1] = moment.real, moment.imag
+    return turned
 
 
 def log_amplitude(power: Float) -> Float:

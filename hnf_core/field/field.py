@@ -46,7 +46,8 @@ class FieldConfig:
     on a carrier decided alone how loud that carrier's tones are (up to 28 dB off on an unseen weave). action_octaves:
     of the positional encoding of u(t), features.encode_action. directed: False for data that never told directions
     apart; the field then ignores d. line_gains: an output for each tone of the token's lattice, see lines; needs
-    physics, log emission and arc carriers.
+    physics, log emission and arc carriers. stroke_frame: the network sees the token in the frame of the stroke instead
+    of token and d, see features.seen_from.
     """
 
     hidden: int = 256
@@ -61,6 +62,7 @@ class FieldConfig:
     action_octaves: int = 0
     directed: bool = True
     line_gains: bool = False
+    stroke_frame: bool = False
 
     @staticmethod
     def published(hidden: int = 1024, layers: int = 4, states: int = 5) -> FieldConfig:
@@ -130,7 +132,13 @@ def evaluate(model: Field, condition: Condition) -> Emission:
     """F_Θ at each of n states, in float32 products (as the torch twin)."""
     config, weights = model.config, model.parameters
     inputs = build_inputs(
-        condition, config.carriers, config.physics, config.action_octaves, config.directed, config.line_gains
+        condition,
+        config.carriers,
+        config.physics,
+        config.action_octaves,
+        config.directed,
+        config.line_gains,
+        config.stroke_frame,
     )
     hidden = inputs.x.astype(np.float32)
     for layer in range(config.layers):

@@ -144,6 +144,8 @@ def _config(record: Mapping[str, Any]) -> FieldConfig:
     physical = config.physics and (config.emission, config.accumulation) == ("log", "past")
     if config.line_gains and not (physical and config.carriers.arc_count):
         raise ValueError("line gains need the linear contact, log emission, past states and arc carriers")
+    if config.stroke_frame and not config.directed:
+        raise ValueError("without directions there is no frame of the stroke")
     return config
 
 

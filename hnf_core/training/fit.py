@@ -92,6 +92,7 @@ def network_inputs(
             config.action_octaves,
             config.directed,
             config.line_gains,
+            config.stroke_frame,
         )
         found = (inputs.x, inputs.prior, inputs.gate)
         parts = parts or [np.zeros((len(strokes), part.shape[1]), dtype=np.float32) for part in found]
@@ -107,22 +108,24 @@ def training_set(
     power: Float,
     variants: int,
     seed: int,
-    elsewhere: Sequence[int] | None = None,
+    elsewhere: Sequence[Sequence[int]] = (),
 ) -> TrainingSet:
     """Network inputs of every stroke: as they are, then variants − 1 draws of unknown mechanics.
 
-    elsewhere: for every stroke another surface of the same material; the later half of the variants, itself beginning
-    with known mechanics, describes the material by that one's token. What a token says beyond the material is an
-    accident of its patch, and the field is asked about patches that nobody stroked.
+    elsewhere: for each of as many more variants and every stroke, another surface of the same material, by whose token
+    the material is described; in every second of these some mechanics are unknown. What a token says beyond the
+    material is an accident of its patch, and the field is asked about patches that nobody stroked.
     """
     rng = np.random.default_rng(seed)
     known = [stroke.mechanics for stroke in strokes]
-    there = strokes if elsewhere is None else [replace(s, surface=e) for s, e in zip(strokes, elsewhere, strict=True)]
-    half = variants if elsewhere is None else (variants + 1) // 2
     found = []
     for variant in range(variants):
-        mechanics = known if variant in (0, half) else [withhold(each, rng) for each in known]
-        found.append(network_inputs(config, strokes if variant < half else there, tokens, mechanics))
+        mechanics = known if variant == 0 else [withhold(each, rng) for each in known]
+        found.append(network_inputs(config, strokes, tokens, mechanics))
+    for variant, surfaces in enumerate(elsewhere):
+        mechanics = known if variant % 2 == 0 else [withhold(each, rng) for each in known]
+        there = [replace(stroke, surface=surface) for stroke, surface in zip(strokes, surfaces, strict=True)]
+        found.append(network_inputs(config, there, tokens, mechanics))
     return TrainingSet(
         torch.tensor(np.stack([each[0] for each in found])),
         torch.tensor(np.stack([each[1] for each in found])),
@@ -187,8 +190,9 @@ def fit(config: FieldConfig, data: TrainingSet, schedule: Schedule, seed: int) -
         total = 0.0
         for rows in torch.tensor_split(order, tuple(range(schedule.batch, count, schedule.batch))):
             variant = torch.randint(variants, (len(rows),), generator=generator)
-            turn = torch.rand(len(rows), generator=generator) * (2.0 * math.pi)
-            x = turned(data.x[variant, rows], turn)
+            x = data.x[variant, rows]
+            if not config.stroke_frame:
+                x = turned(x, torch.rand(len(rows), generator=generator) * (2.0 * math.pi))
             x[:, :TOKEN_DIM] += schedule.token_noise * torch.randn(len(rows), TOKEN_DIM, generator=generator)
             head, sigma_dt = network.heads(x)
             amplitude = steady(network.emission(head, data.prior[variant, rows], data.gate[rows]), sigma_dt)

@@ -23,11 +23,13 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Sizes:
-    """instances: of every class, beside the library's own. patches: per material. strokes: per patch, of `seconds`,
-    middle_share of them where strokes mostly are. random: surfaces of no material; random_strokes: on each."""
+    """instances: of every class, beside the library's own. patches: stroked, per material; described: more, only looked
+    at. strokes: per patch, of `seconds`, middle_share of them where strokes mostly are. random: surfaces of no
+    material; random_strokes: on each."""
 
     instances: int = 1
     patches: int = 2
+    described: int = 6
     strokes: int = 70
     middle_share: float = 0.7
     random: int = 150
@@ -56,13 +58,15 @@ class Gathered:
         kept = tuple(stroke for stroke, row in zip(self.strokes, rows, strict=True) if row)
         return replace(self, strokes=kept, power=self.power[rows])
 
-    def other_patch(self, stroke: Steady, rng: np.random.Generator) -> int:
-        """Another surface of the same material at random; the stroke's own where there is no other."""
-        if self.material[stroke.surface] < 0:
-            return stroke.surface
-        same = np.flatnonzero(self.material == self.material[stroke.surface])
-        others = same[same != stroke.surface]
-        return int(rng.choice(others)) if len(others) else stroke.surface
+    def other_patches(self, rng: np.random.Generator) -> list[int]:
+        """For every stroke another surface of the same material at random; its own where there is no other."""
+        same = {m: np.flatnonzero(self.material == m) for m in range(len(self.names))}
+        found = []
+        for stroke in self.strokes:
+            patches_here = same.get(int(self.material[stroke.surface]), np.zeros(0, dtype=np.intp))
+            others = patches_here[patches_here != stroke.surface]
+            found.append(int(rng.choice(others)) if len(others) else stroke.surface)
+        return found
 
 
 def specimens_of(library: Path, sizes: Sizes) -> list[Specimen]:
@@ -75,19 +79,21 @@ def gather(specimens: Sequence[Specimen], sizes: Sizes, seed: int, workers: int 
     surfaces = patches(specimens, 0, sizes.patches, workers)
     own = len(surfaces)
     surfaces += random_surfaces(sizes.random, seed, workers)
-    print(f"{len(surfaces)} surfaces", file=sys.stderr)
+    more = patches(specimens, sizes.patches, sizes.described, workers) if sizes.described else []
+    print(f"{len(surfaces) + len(more)} surfaces", file=sys.stderr)
     strokes = steady_strokes(surfaces[:own], sizes.strokes, seed + 1, middle_share=sizes.middle_share)
     strokes += [
         replace(stroke, surface=stroke.surface + own)
         for stroke in steady_strokes(surfaces[own:], sizes.random_strokes, seed + 2)
     ]
-    material = np.full(len(surfaces), -1)
-    material[:own] = np.repeat(np.arange(len(specimens)), sizes.patches)
+    rows = np.arange(len(specimens))
+    nothing = np.full(len(surfaces) - own, -1)
+    material = np.concatenate([np.repeat(rows, sizes.patches), nothing, np.repeat(rows, sizes.described)])
     return Gathered(
         names=tuple(each.name for each in specimens),
         classes=tuple(each.class_name for each in specimens),
         material=material,
-        tokens=np.stack([surface.token for surface in surfaces]),
+        tokens=np.stack([surface.token for surface in surfaces + more]),
         strokes=tuple(strokes),
         power=record(surfaces, strokes, sizes.seconds, workers),
     )

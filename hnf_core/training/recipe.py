@@ -36,16 +36,17 @@ from .surfaces import Specimen
 Float = NDArray[np.float64]
 
 LICENCE = "GPL-3.0-or-later"
-SHARED = FieldConfig(hidden=256, line_gains=True)
+SHARED = FieldConfig(hidden=256, line_gains=True, stroke_frame=True)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """variants: draws of withheld mechanics and of the patch that describes the material, see training_set."""
+    """variants, elsewhere: of a stroke's input, by its own patch and by others of the material, see training_set."""
 
     sizes: Sizes = field(default_factory=Sizes)
-    schedule: Schedule = field(default_factory=lambda: Schedule(epochs=40, batch=64, token_noise=0.15, ridge=1e-4))
-    variants: int = 4
+    schedule: Schedule = field(default_factory=lambda: Schedule(epochs=50, batch=64, token_noise=0.15, ridge=1e-4))
+    variants: int = 2
+    elsewhere: int = 4
 
 
 def train(library: Path, plan: Plan, config: FieldConfig, seed: int, cache: Path, workers: int = 2) -> Field:
@@ -58,6 +59,12 @@ def train(library: Path, plan: Plan, config: FieldConfig, seed: int, cache: Path
     references = references_for(specimens_of(library, plan.sizes), middle_conditions(), seed, cache, workers)
     print(f"simulated after {time.monotonic() - began:.0f} s", file=sys.stderr)
     network = fit_gathered(gathered, plan, config, seed)
+    print(f"trained after {time.monotonic() - began:.0f} s", file=sys.stderr)
+    return described(network, gathered, references, plan, seed)
+
+
+def described(network: FieldNetwork, gathered: Gathered, references: References, plan: Plan, seed: int) -> Field:
+    """The field with what it was trained on, where that lay, and how far it is from the references."""
     distance = on_new_patches_db(network, references)
     metrics = (
         f"average spectrum, {len(distance)} materials x {len(references.conditions)} conditions, tokens of patches not "
@@ -67,14 +74,14 @@ def train(library: Path, plan: Plan, config: FieldConfig, seed: int, cache: Path
         f"{float(np.median(references.scatter_db)):.2f} dB"
     )
     print(metrics, file=sys.stderr)
-    print(f"trained in {time.monotonic() - began:.0f} s", file=sys.stderr)
     sizes = plan.sizes
     return Field(
-        config, network.parameters_numpy(), ranges_of_gathered(gathered, sizes.seconds),
+        network.config, network.parameters_numpy(), ranges_of_gathered(gathered, sizes.seconds),
         {
             "training_data": f"contact simulator of this project: {len(gathered.names)} materials of "
-            f"{len(set(gathered.classes))} classes x {sizes.patches} patches, {sizes.random} random and fused "
-            f"surfaces, {len(gathered.strokes)} steady strokes of {sizes.seconds:g} s, pen and finger, none recorded",
+            f"{len(set(gathered.classes))} classes x {sizes.patches} patches, {sizes.random} random and "
+            f"fused surfaces, {len(gathered.strokes)} steady strokes of {sizes.seconds:g} s, pen and finger; no "
+            "recorded data",
             "seed": str(seed),
             "metrics": metrics,
             "licence": LICENCE,
@@ -86,7 +93,7 @@ def fit_gathered(gathered: Gathered, plan: Plan, config: FieldConfig, seed: int)
     """One field for all strokes gathered."""
     torch.set_num_threads(1)
     rng = np.random.default_rng(seed)
-    elsewhere = [gathered.other_patch(stroke, rng) for stroke in gathered.strokes]
+    elsewhere = [gathered.other_patches(rng) for _ in range(plan.elsewhere)]
     data = training_set(config, gathered.strokes, gathered.tokens, gathered.power, plan.variants, seed, elsewhere)
     return fit(config, data, plan.schedule, seed)
 

@@ -25,7 +25,7 @@ RESAMPLED = 4000
 
 def own_config(hidden: int) -> FieldConfig:
     """A field for one material: the same carriers and linear contact, two layers."""
-    return FieldConfig(hidden=hidden, layers=2, line_gains=True)
+    return FieldConfig(hidden=hidden, layers=2, line_gains=True, stroke_frame=True)
 
 
 def own_field_db(gathered: Gathered, references: References, material: int, hidden: int, seed: int) -> float:
@@ -55,7 +55,8 @@ def only_materials(references: References, materials: Sequence[int]) -> Referenc
 
 def with_training_tokens_db(network: FieldNetwork, references: References, gathered: Gathered) -> Float:
     """(M,) as on_new_patches_db, but asked with the tokens of the patches trained on."""
-    patches = [np.flatnonzero(gathered.material == material) for material in range(len(gathered.names))]
+    stroked = np.unique([stroke.surface for stroke in gathered.strokes])
+    patches = [stroked[gathered.material[stroked] == material] for material in range(len(gathered.names))]
     return np.asarray(
         np.mean(
             [

@@ -96,6 +96,27 @@ def test_the_torch_twin_equals_numpy():
     np.testing.assert_allclose(twin.numpy(), numpy, rtol=1e-4, atol=1e-6 * numpy.max())
 
 
+def test_in_the_stroke_s_frame_only_the_angle_between_surface_and_stroke_counts():
+    framed = dataclasses.replace(CONFIG, stroke_frame=True)
+    still, turned = condition(), condition()
+    angle, tokens = 0.7, turned.tokens.copy()
+    for band in range(7):
+        for offset, fold in ((1, 2), (3, 4)):
+            first = band * 7 + offset
+            moment = (tokens[:, first] + 1j * tokens[:, first + 1]) * np.exp(1j * fold * angle)
+            tokens[:, first], tokens[:, first + 1] = moment.real, moment.imag
+    spin = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    turned = dataclasses.replace(turned, tokens=tokens, direction=turned.direction @ spin)
+    back = dataclasses.replace(still, direction=-still.direction)
+    x = [build_inputs(c, framed.carriers, True, stroke_frame=True).x for c in (still, turned, back)]
+    # The linear contact rounds angles to its grid.
+    np.testing.assert_allclose(x[1], x[0], atol=5e-3)
+    np.testing.assert_allclose(x[1][:, :49], x[0][:, :49], atol=1e-6)
+    np.testing.assert_allclose(x[2], x[0], atol=5e-3)
+    plain = [build_inputs(c, framed.carriers, True).x for c in (still, turned)]
+    assert np.abs(plain[0] - plain[1]).max() > 0.1
+
+
 def test_weights_with_line_gains_round_trip_and_nonsense_is_refused(tmp_path):
     path = tmp_path / "w.safetensors"
     save_field(path, Field(CONFIG, initial_parameters(CONFIG, 0)))

@@ -43,9 +43,9 @@ from hnf_core.training.shared_bars import (  # noqa: E402
     with_training_tokens_db,
 )
 
-SIZES = Sizes(patches=2, strokes=4, random=2, random_strokes=2, seconds=0.15)
+SIZES = Sizes(patches=2, described=1, strokes=4, random=2, random_strokes=2, seconds=0.15)
 CONFIG = FieldConfig(hidden=8, layers=1, line_gains=True)
-PLAN = Plan(SIZES, Schedule(epochs=2, batch=16), variants=4)
+PLAN = Plan(SIZES, Schedule(epochs=2, batch=16))
 CONDITIONS = [Condition(30, 1.0, 0.2), Condition(40, 0.7, 1.7)]
 
 
@@ -95,21 +95,20 @@ def test_gathered_strokes_come_back_from_disk(tmp_path, gathered):
 
 
 def test_another_patch_is_of_the_same_material(gathered):
-    rng = np.random.default_rng(0)
-    for stroke in gathered.strokes:
-        there = gathered.other_patch(stroke, rng)
-        assert gathered.material[there] == gathered.material[stroke.surface] or there == stroke.surface
+    for stroke, there in zip(gathered.strokes, gathered.other_patches(np.random.default_rng(0)), strict=True):
+        assert gathered.material[there] == gathered.material[stroke.surface]
         assert (there == stroke.surface) == (gathered.material[stroke.surface] < 0)
 
 
 def test_later_variants_are_described_by_another_patch(gathered):
     strokes = gathered.strokes[:4]
-    elsewhere = [gathered.other_patch(stroke, np.random.default_rng(0)) for stroke in strokes]
-    data = training_set(CONFIG, strokes, gathered.tokens, gathered.power[:4], 4, 0, elsewhere)
+    elsewhere = gathered.other_patches(np.random.default_rng(0))[:4]
+    data = training_set(CONFIG, strokes, gathered.tokens, gathered.power[:4], 2, 0, [elsewhere, elsewhere])
     moved = [dataclasses.replace(s, surface=e) for s, e in zip(strokes, elsewhere, strict=True)]
     there = training_set(CONFIG, moved, gathered.tokens, gathered.power[:4], 1, 0)
     torch.testing.assert_close(data.x[2], there.x[0])
     torch.testing.assert_close(data.prior[2], there.prior[0])
+    assert len(data.x) == 4
     assert not torch.allclose(data.x[0], data.x[2])
 
 
