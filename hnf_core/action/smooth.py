@@ -14,6 +14,10 @@ WANDER_HZ = 1.5
 has one speed and one force to within a few per cent."""
 
 
+TURNING = 6.0
+"""By how much slower direction wanders: one window of 0.1 s should have one direction too."""
+
+
 def steady_action(
     duration_s: float, speed_m_s: float, force_n: float, angle_rad: float = 0.0, probe: str = "pen"
 ) -> Action:
@@ -39,7 +43,8 @@ def wandering_action(
     """
     rng = np.random.Generator(np.random.Philox(key=seed))
     count = round(duration_s * ACTION_RATE_HZ) + 1
-    speed, force, turn = (_uniform_noise(count, bandwidth_hz, rng) for _ in range(3))
+    speed, force = (_uniform_noise(count, bandwidth_hz, rng) for _ in range(2))
+    turn = _uniform_noise(count, bandwidth_hz / TURNING, rng)
     low, high = angle_rad
     if high - low >= 2.0 * np.pi - 1e-9:
         # Twice round, so that the folded distribution is even; it starts anywhere.
