@@ -26,6 +26,10 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser.add_argument("--weights", type=Path, metavar="FILE", help="the shared field (default: the shipped one)")
     parser.add_argument("--methods", nargs="+", metavar="KEY", help="only these (an unknown one lists them)")
     parser.add_argument("--materials", nargs="+", metavar="NAME", help="library materials for columns a and b")
+    parser.add_argument("--textures", type=int, default=3, metavar="N", help="of HaTT, to train on (default 3)")
+    parser.add_argument(
+        "--seconds", type=float, default=120.0, metavar="S", help="of each material to learn from (default 120)"
+    )
     parser.add_argument("--workers", type=int, default=2, metavar="N", help="materials at once (default 2)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of strokes, draws and training")
     parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
@@ -34,8 +38,8 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
-    if arguments.workers < 1 or arguments.seed < 0:
-        raise UsageError("--workers must be at least 1, --seed at least 0.")
+    if arguments.workers < 1 or arguments.seed < 0 or arguments.textures < 0 or not 5.0 <= arguments.seconds <= 1e4:
+        raise UsageError("--workers must be at least 1, --seed and --textures 0, --seconds 5.")
     try:
         from ..training import material  # noqa: F401
     except ImportError as error:
@@ -56,7 +60,10 @@ def run(arguments: argparse.Namespace) -> int:
         workers=arguments.workers,
         simulated=SIMULATED if arguments.materials is None else tuple(arguments.materials),
     )
-    options = replace(options, sizes=replace(options.sizes, simulated=len(options.simulated)))
+    sizes = replace(
+        options.sizes, simulated=len(options.simulated), hatt=arguments.textures, training_s=arguments.seconds
+    )
+    options = replace(options, sizes=sizes)
     if arguments.quick:
         options = replace(options, sizes=QUICK, budget=replace(options.budget, epochs=2, steps=50))
     bar, stages = ProgressBar(), [0]

@@ -36,7 +36,7 @@ def spectra_picture(path: Path, judged: Sequence[Judged], kind: str, names: dict
     panels = [(each, index) for each in judged for index in range(len(each.references.get(kind, [])))]
     columns = min(3, max(1, len(panels)))
     rows = -(-len(panels) // columns)
-    size = (PANEL_PX[0] * columns, PANEL_PX[1] * rows + 120)
+    size = (PANEL_PX[0] * columns, PANEL_PX[1] * rows + 150)
 
     def draw(figure: Figure) -> None:
         figure.text(0.02, 1.0 - 34 / size[1], title, fontsize=15, fontweight="bold")
@@ -59,7 +59,7 @@ def directions_picture(path: Path, measured: Directions, names: dict[str, str]) 
     panels = [("the true process", measured.truth), *((names[key], measured.methods[key]) for key in measured.methods)]
     columns = min(3, len(panels))
     rows = -(-len(panels) // columns)
-    size = (PANEL_PX[0] * columns, PANEL_PX[1] * rows + 120)
+    size = (PANEL_PX[0] * columns, PANEL_PX[1] * rows + 150)
     top = float(_level(measured.truth).max())
 
     def draw(figure: Figure) -> None:
@@ -89,7 +89,7 @@ def directions_picture(path: Path, measured: Directions, names: dict[str, str]) 
 def _panel(figure: Figure, place: int, columns: int, rows: int, size: tuple[int, int]) -> Axes:
     row, column = divmod(place, columns)
     left, wide = (column * PANEL_PX[0] + 78) / size[0], (PANEL_PX[0] - 106) / size[0]
-    bottom = ((rows - 1 - row) * PANEL_PX[1] + 100) / size[1]
+    bottom = ((rows - 1 - row) * PANEL_PX[1] + 130) / size[1]
     axes = figure.add_axes((left, bottom, wide, (PANEL_PX[1] - 75) / size[1]))
     axes.set_xscale("log")
     axes.set_xlim(10.0, 1000.0)
@@ -115,9 +115,11 @@ def _finish(axes: Axes, top: float, title: str, place: int, columns: int, rows: 
 
 def _legend(figure: Figure, size: tuple[int, int]) -> None:
     found = {label: line for axes in figure.axes for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    longest = max(len(label) for label in found)
+    across = max(1, int(size[0] / (7.0 * longest + 60.0)))
     figure.legend(
-        list(found.values()), list(found), loc="lower center", ncol=min(len(found), 4 if size[0] < 1200 else 8),
-        frameon=False, fontsize=9.5,
+        list(found.values()), list(found), loc="lower center", ncol=min(len(found), across), frameon=False,
+        fontsize=9.5, borderaxespad=0.1, labelspacing=0.3,
     )  # fmt: skip
 
 
