@@ -9,7 +9,6 @@ torch = pytest.importorskip("torch")
 
 from hnf_core.field import linear_contact as physics  # noqa: E402
 from hnf_core.field.carriers import MODEL_RATE_HZ, Carriers  # noqa: E402
-from hnf_core.field.features import build_inputs  # noqa: E402
 from hnf_core.field.field import FieldConfig, evaluate, initial_parameters, steady_amplitude  # noqa: E402
 from hnf_core.field.linear_texture import cut, texture_of  # noqa: E402
 from hnf_core.field.modulation import arc_term  # noqa: E402
@@ -20,7 +19,16 @@ from hnf_core.simulation import simulate as simulator  # noqa: E402
 from hnf_core.simulation.surface import Noise, SurfaceRecipe, height_map, wavenumbers  # noqa: E402
 from hnf_core.training.conditions import Steady, draw_mechanics, speed_grid, steady_strokes, withhold  # noqa: E402
 from hnf_core.training.expectation import band_expectation  # noqa: E402
-from hnf_core.training.fit import Likelihood, Schedule, TrainingSet, condition_of, fit, training_set, turned  # noqa: E402
+from hnf_core.training.fit import (  # noqa: E402
+    Likelihood,
+    Schedule,
+    TrainingSet,
+    condition_of,
+    fit,
+    network_inputs,
+    training_set,
+    turned,
+)
 from hnf_core.training.model import FieldNetwork, whittle  # noqa: E402
 from hnf_core.training.recordings import observed, record  # noqa: E402
 from hnf_core.training.surfaces import fuse, make_surface, random_surfaces  # noqa: E402
@@ -90,12 +98,10 @@ def test_the_torch_twin_equals_numpy(strokes, tokens):
     field = load_field()
     rows = [stroke for stroke in strokes if stroke.probe == "pen"]
     condition = condition_of(rows, tokens, [stroke.mechanics for stroke in rows])
-    inputs = build_inputs(condition, field.config.carriers, True)
+    inputs = network_inputs(field.config, rows, tokens, [stroke.mechanics for stroke in rows])
     network = FieldNetwork(field.config, field.parameters)
     with torch.no_grad():
-        twin = network.steady_amplitude(
-            *(torch.tensor(a, dtype=torch.float32) for a in (inputs.x, inputs.prior, inputs.gate))
-        )
+        twin = network.steady_amplitude(*(torch.tensor(a, dtype=torch.float32) for a in inputs))
     numpy = steady_amplitude(field.config, evaluate(field, condition))[:, 0]
     np.testing.assert_allclose(twin.numpy(), numpy, rtol=1e-5, atol=1e-7 * numpy.max() + 1e-9)
 
