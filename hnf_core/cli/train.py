@@ -47,7 +47,9 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     )
     parser.add_argument("--hidden", type=int, metavar="H", help="units per layer (default: chosen by the data)")
     parser.add_argument("--layers", type=int, metavar="L", help="layers (default 4)")
-    parser.add_argument("--states", type=int, metavar="N", help="states accumulated (default 1)")
+    parser.add_argument(
+        "--states", type=int, metavar="N", help="states accumulated (default 1, or 5 where hands turn back)"
+    )
     parser.add_argument(
         "--accumulation", choices=["past", "heads"], help="N past states, or N heads of one state as published"
     )
@@ -94,7 +96,8 @@ def _train(
         from ..training.own_material import Choices, train_own
     except ImportError as error:
         raise HnfError(
-            f"training needs torch ({error}).", remedy="Install the extra: pip install 'hnf[train]'."
+            f"training needs torch ({error}).",
+            remedy="In a checkout: make env-test; elsewhere: pip install 'hnf[train]'.",
         ) from error
     checkpoint = arguments.out.with_name(f"{arguments.out.name}.checkpoint")
     if arguments.fresh:

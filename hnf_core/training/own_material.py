@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..action.action import Action
 from ..datasets.recording import Recording
 from ..field.carriers import Carriers
 from ..field.field import Field, FieldConfig
@@ -24,6 +25,7 @@ from .recordings import FINE_BINS
 Float = NDArray[np.float64]
 
 FINE_HZ = 10.0
+PAST_STATES = 5
 ARC_KINDS = ("cluster", "simulated")
 """Data in which tones glide with the speed. HaTT's models hold none: each is a filter that changes with speed, and arc
 carriers would only be a second way to say the same."""
@@ -49,14 +51,28 @@ def fine_carriers(arc_octaves: int = 0) -> Carriers:
 
 def config_for(recordings: Sequence[Recording], *, arc: bool, token_known: bool) -> FieldConfig:
     """The architecture that suits what is known: the linear contact where there is a token, arc carriers where asked
-    for, direction only where it was recorded. N = 1: docs/field.md shows what past states bring."""
+    for, direction only where it was recorded, and N = 5 past states where hands stop or turn back. There accumulation
+    wins (docs/training.md); elsewhere strokes tell nothing of memory, and N = 1 is the same field for less work.
+    """
     directed = any("direction" in recording.known for recording in recordings)
+    states = PAST_STATES if any(_turns_back(recording.action) for recording in recordings) else 1
     if token_known:
-        return FieldConfig(states=1, action_octaves=2, directed=directed)
+        return FieldConfig(states=states, action_octaves=2, directed=directed)
     return FieldConfig(
-        hidden=128, states=1, carriers=fine_carriers(Carriers().arc_octaves if arc else 0), physics=False,
+        hidden=128, states=states, carriers=fine_carriers(Carriers().arc_octaves if arc else 0), physics=False,
         action_octaves=3, directed=directed,
     )  # fmt: skip
+
+
+def _turns_back(action: Action) -> bool:
+    """Whether the hand nearly stops (a tenth of its usual speed), lifts, or reverses within 50 ms."""
+    moving = action.speed[action.contact & (action.speed > 0.0)]
+    if len(moving) == 0:
+        return False
+    stops = bool(np.any(action.speed < 0.1 * np.median(moving)))
+    lag = max(1, round(0.05 * action.rate))
+    reverses = bool(np.any((action.direction[lag:] * action.direction[:-lag]).sum(axis=1) < 0.0))
+    return stops or reverses or not bool(action.contact.all())
 
 
 def train_own(

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 torch = pytest.importorskip("torch", reason="training needs the extra [train]")
 
-from hnf_core.action.smooth import steady_action, wandering_action  # noqa: E402
+from hnf_core.action.smooth import circular_action, steady_action, wandering_action  # noqa: E402
 from hnf_core.datasets.recording import Recording  # noqa: E402
 from hnf_core.errors import UsageError  # noqa: E402
 from hnf_core.field.carriers import Carriers  # noqa: E402
@@ -25,7 +25,7 @@ from hnf_core.metrics.spectra import WINDOW  # noqa: E402
 from hnf_core.training.checkpoint import load_checkpoint  # noqa: E402
 from hnf_core.training.material import Schedule, train_material  # noqa: E402
 from hnf_core.training.model import FieldNetwork  # noqa: E402
-from hnf_core.training.own_material import Choices, fine_carriers, train_own  # noqa: E402
+from hnf_core.training.own_material import Choices, config_for, fine_carriers, train_own  # noqa: E402
 from hnf_core.training.rendered_power import RenderedPower, rendered_inputs, speed_table  # noqa: E402
 from hnf_core.training.windows import HOP, ROLES, TRAIN, cut, runs  # noqa: E402
 
@@ -106,9 +106,13 @@ def test_bands_above_a_low_rate_are_not_heard_and_not_played() -> None:
     assert high.max() < 1e-4 * low.mean()
 
 
-def test_a_turning_hand_is_looked_at_more_than_once_in_a_window(minute: list[Recording]) -> None:
-    told = [dataclasses.replace(each, known=frozenset({"speed", "direction"})) for each in minute[:2]]
-    windows = cut(told)[1]
+def circle(seed: int) -> Recording:
+    recording = noise_recording(circular_action(5.0, 0.1, 1.0, 0.02), seed)
+    return dataclasses.replace(recording, known=frozenset({"speed", "direction"}))
+
+
+def test_a_turning_hand_is_looked_at_more_than_once_in_a_window() -> None:
+    windows = cut([circle(0), circle(1)])[1]
     assert windows.node.shape[1] == 5
     assert windows.share.sum() == pytest.approx(1.0)
     assert np.all(np.abs(windows.node - windows.node[:, 2:3]) <= 8)
@@ -160,6 +164,19 @@ def test_a_field_that_never_heard_of_direction_ignores_it(minute: list[Recording
     np.testing.assert_array_equal(across, along)
     assert record["material"] == "noise"
     assert record["test"]["windows"] == 10
+
+
+def test_memory_is_learned_only_where_strokes_can_tell_of_it(minute: list[Recording]) -> None:
+    time = minute[0].action.time
+    rubbing = dataclasses.replace(
+        minute[0].action, speed=0.1 * np.abs(np.sin(6.0 * time)), direction=np.sign(np.sin(6.0 * time + 1e-3))[:, None]
+        * np.array([1.0, 0.0]),
+    )  # fmt: skip
+    turning = dataclasses.replace(minute[0], action=rubbing)
+    assert config_for(minute, arc=False, token_known=False).states == 1
+    assert config_for([circle(0)], arc=False, token_known=False).states == 1
+    assert config_for([*minute, turning], arc=False, token_known=False).states == 5
+    assert config_for([turning], arc=True, token_known=True).accumulation == "past"
 
 
 def test_same_seed_same_weights_other_seed_others(minute: list[Recording]) -> None:
