@@ -44,8 +44,9 @@ def expected_densities(field: Field, stroke: StrokeInput, every: int = 1) -> Flo
         cells += power[:, carriers.time_slice] @ _shares(carriers.time_edges())
     if carriers.arc_count:
         edges = carriers.arc_edges()
-        for row in np.flatnonzero(speed > 0.0):
-            cells[row] += power[row, carriers.arc_slice] @ _shares(edges * speed[row])
+        for value in np.unique(speed[speed > 0.0]):
+            rows = speed == value
+            cells[rows] += power[rows, carriers.arc_slice] @ _shares(edges * value)
     return np.asarray(cells @ _kernel())
 
 
