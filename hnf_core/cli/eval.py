@@ -17,8 +17,8 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         "eval",
         help="measure fields and rivals by every metric, with the limits beside them",
         description="Train every method on simulated materials (and on your copy of HaTT), render strokes that none of "
-        "them learned from, and write eval.md, eval.json and pictures. Some 15 minutes on two cores; --quick takes "
-        "two and proves little. Needs the extra [train].",
+        "them learned from, and write eval.md, eval.json and pictures. Takes minutes for each material; --quick "
+        "proves that it runs and nothing else. Needs the extra [train].",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write into")
     parser.add_argument("--quick", action="store_true", help="few materials, short strokes, a few steps of training")
