@@ -21,6 +21,7 @@ from hnf_core.material.library import load_library
 from hnf_core.material.mechanics import Mechanics
 from hnf_core.material.token import BAND_FEATURES, ENCODER_ID, TOKEN_DIM
 from hnf_core.metrics.spectra import spectrum_distance_db, welch
+from hnf_core.simulation.feel import ANGLES
 
 FREQUENCY = np.arange(2.0, 5000.0, 2.0)
 ALONG, ACROSS = (1.0, 0.0), (0.0, 1.0)
@@ -68,7 +69,9 @@ def rms_of(field, entry, speed, force, direction=ALONG):
 
 
 def both_ways(field, entry, speed, force):
-    return float(np.hypot(rms_of(field, entry, speed, force), rms_of(field, entry, speed, force, ACROSS))) / 2**0.5
+    """Under the two directions that the library itself is held to (simulation.feel), not exactly along its axes."""
+    rms = [rms_of(field, entry, speed, force, (np.cos(angle), np.sin(angle))) for angle in ANGLES]
+    return float(np.hypot(*rms)) / 2**0.5
 
 
 # -- what the shipped weights must hold ------------------------------------------------------------------------------
