@@ -107,9 +107,7 @@ def shows(camera: Camera, path: Float) -> bool:
     return bool(extent >= LEAST_SHARE * camera.width)
 
 
-def in_view(
-    scene: Any, depsgraph: Any, camera: Camera, path: Float, touched: Any, metres_per_unit: float
-) -> list[Any]:
+def in_view(scene: Any, depsgraph: Any, camera: Camera, path: Float, touched: Any, metres_per_unit: float) -> list[Any]:
     """The touched object and the nearest visible neighbours whose bounding sphere meets the picture."""
     middle = path.mean(axis=0)
     near: list[tuple[float, Any]] = []
