@@ -144,7 +144,9 @@ def test_expected_power_is_what_synthesis_gives(config: FieldConfig) -> None:
 
 
 def test_learns_a_known_process(minute: list[Recording]) -> None:
-    field = train_material(minute, SMALL, 0, schedule=Schedule(epochs=25, batches=8)).field
+    trained = train_material(minute, SMALL, 0, schedule=Schedule(epochs=25, batches=8))
+    assert trained.test.l_mag_share == pytest.approx(1.0 - np.pi / 4.0, abs=0.02)
+    field = trained.field
     frequency = np.arange(20.0, 1000.0, 10.0)
     for speed in (0.05, 0.1, 0.15):
         found = expected_spectrum(field, NO_TOKEN, UNKNOWN, "pen", (0.0, 1.0), speed, 1.0, frequency)
