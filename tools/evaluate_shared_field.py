@@ -2,8 +2,8 @@
 
 Usage: python tools/evaluate_shared_field.py [--weights FILE] [--seed N] [--workers N] [--cache DIR] [--parts LIST]
        > docs/shared-field.md
-Uses what tools/train_default_field.py left in the cache. --parts: of own,curve,direction,unseen; results of a part stay
-in the cache as JSON, so that parts can be run one by one.
+Uses what tools/train_default_field.py left in the cache. --parts: of own,long,curve,direction,unseen; results of a part
+stay in the cache as JSON, so that parts can be run one by one.
 """
 
 from __future__ import annotations
@@ -13,11 +13,14 @@ import json
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, replace
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -26,11 +29,12 @@ from hnf_core.field.field import FieldConfig  # noqa: E402
 from hnf_core.field.weights import DEFAULT_WEIGHTS, load_field  # noqa: E402
 from hnf_core.simulation.classes import category_of, classes  # noqa: E402
 from hnf_core.training.conditions import speed_grid  # noqa: E402
-from hnf_core.training.gathering import specimens_of  # noqa: E402
+from hnf_core.training.gathering import Sizes, gather, specimens_of  # noqa: E402
 from hnf_core.training.model import FieldNetwork  # noqa: E402
 from hnf_core.training.recipe import SHARED, Plan, fit_gathered, gathered_for, references_for  # noqa: E402
 from hnf_core.training.references import expected_at, middle_conditions, on_new_patches_db  # noqa: E402
 from hnf_core.training.shared_bars import (  # noqa: E402
+    LONG_SCHEDULE,
     directions_of,
     eight_directions,
     only_classes,
@@ -45,6 +49,8 @@ OWN_HIDDEN = 64
 OWN_SIZES = (8, 16, 32)
 """Smaller ones, tried on every OWN_EVERY-th material."""
 OWN_EVERY = 12
+LONG_STROKES = 1600
+"""Of 0.3 s: 480 s of one material."""
 CURVE = (11, 43)
 """Materials; the shipped field is the last point."""
 DIRECTED = 10
@@ -72,13 +78,14 @@ def own(bench: Bench) -> dict[str, Any]:
     """Per-material fields of OWN_HIDDEN for all, smaller ones for some, and the shared field's distances."""
     count = len(bench.specimens)
     some = list(range(3, count, OWN_EVERY))
-    distance = [
-        _told(m, own_field_db(bench.gathered, bench.references, m, OWN_HIDDEN, bench.seed)) for m in range(count)
-    ]
-    smaller = {
-        str(hidden): [own_field_db(bench.gathered, bench.references, m, hidden, bench.seed) for m in some]
-        for hidden in OWN_SIZES
-    }
+    jobs = [(m, OWN_HIDDEN) for m in range(count)] + [(m, hidden) for hidden in OWN_SIZES for m in some]
+    material = bench.gathered.material_of_strokes()
+    alone = [bench.gathered.only(material == m) for m in range(count)]
+    calls = [(alone[m], bench.references, m, hidden, bench.seed) for m, hidden in jobs]
+    with ProcessPoolExecutor(bench.workers, mp_context=get_context("fork")) as pool:
+        found = dict(zip(jobs, pool.map(own_field_db, *zip(*calls, strict=True)), strict=True))
+    distance = [found[m, OWN_HIDDEN] for m in range(count)]
+    smaller = {str(hidden): [found[m, hidden] for m in some] for hidden in OWN_SIZES}
     seen = with_training_tokens_db(bench.network, bench.references, bench.gathered)
     return {
         "own": distance,
@@ -88,6 +95,18 @@ def own(bench: Bench) -> dict[str, Any]:
         "seen": seen.tolist(),
         "bytes": {str(hidden): parameter_bytes(own_config(hidden)) for hidden in (*OWN_SIZES, OWN_HIDDEN)},
     }
+
+
+def long(bench: Bench) -> dict[str, Any]:
+    """Per-material fields of some materials with as much data as one material may ever have."""
+    some = list(range(3, len(bench.specimens), OWN_EVERY))
+    sizes = Sizes(patches=2, described=0, strokes=LONG_STROKES // 2, middle_share=1.0, random=0)
+    gathered = gather([bench.specimens[m] for m in some], sizes, bench.seed + 10, bench.workers)
+    references = only_materials(bench.references, some)
+    distance = [
+        own_field_db(gathered, references, row, OWN_HIDDEN, bench.seed, LONG_SCHEDULE) for row in range(len(some))
+    ]
+    return {"some": some, "own": distance, "seconds": LONG_STROKES * sizes.seconds}
 
 
 def curve(bench: Bench) -> dict[str, Any]:
@@ -138,6 +157,7 @@ def unseen(bench: Bench) -> dict[str, Any]:
 
 PARTS: dict[str, Callable[[Bench], dict[str, Any]]] = {
     "own": own,
+    "long": long,
     "curve": curve,
     "direction": direction,
     "unseen": unseen,
@@ -146,11 +166,6 @@ PARTS: dict[str, Callable[[Bench], dict[str, Any]]] = {
 
 def parameter_bytes(config: FieldConfig) -> int:
     return 4 * sum(int(np.prod(shape)) for shape in config.shapes().values())
-
-
-def _told(material: int, distance: float) -> float:
-    print(f"\rmaterial {material + 1}", end="", file=sys.stderr, flush=True)
-    return distance
 
 
 def main() -> int:
@@ -162,6 +177,7 @@ def main() -> int:
     parser.add_argument("--parts", default=",".join(PARTS))
     arguments = parser.parse_args()
     arguments.cache.mkdir(parents=True, exist_ok=True)
+    torch.set_num_threads(1)  # the processes forked later must not share a pool of threads
     bench = Bench(arguments)
     identity = load_field(arguments.weights).identity
     for part in filter(None, arguments.parts.split(",")):

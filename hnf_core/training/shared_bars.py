@@ -19,6 +19,8 @@ from .references import Condition, References, distances_db, expected_at, on_new
 Float = NDArray[np.float64]
 
 OWN_SCHEDULE = Schedule(epochs=100, batch=32, learning_rate=5e-3, token_noise=0.0, ridge=1e-3)
+LONG_SCHEDULE = replace(OWN_SCHEDULE, epochs=40)
+"""For twelve times the data."""
 RESAMPLED = 4000
 """Draws of the bootstrap."""
 
@@ -28,7 +30,14 @@ def own_config(hidden: int) -> FieldConfig:
     return FieldConfig(hidden=hidden, layers=2, line_gains=True, stroke_frame=True)
 
 
-def own_field_db(gathered: Gathered, references: References, material: int, hidden: int, seed: int) -> float:
+def own_field_db(
+    gathered: Gathered,
+    references: References,
+    material: int,
+    hidden: int,
+    seed: int,
+    schedule: Schedule = OWN_SCHEDULE,
+) -> float:
     """Distance, mean over conditions, of a field trained on that material's strokes alone and asked with one of its
     training tokens: for one material a token is a constant."""
     strokes = gathered.only(gathered.material_of_strokes() == material)
@@ -36,7 +45,7 @@ def own_field_db(gathered: Gathered, references: References, material: int, hidd
     constant = tuple(replace(stroke, surface=patch) for stroke in strokes.strokes)
     config = own_config(hidden)
     data = training_set(config, constant, gathered.tokens, strokes.power, 1, seed)
-    network = fit(config, data, OWN_SCHEDULE, seed)
+    network = fit(config, data, schedule, seed)
     alone = only_materials(references, [material])
     return float(distances_db(alone, expected_at(network, alone, gathered.tokens[[patch]])).mean())
 

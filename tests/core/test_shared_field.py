@@ -86,13 +86,12 @@ def test_mirrored_direction_is_another_spectrum_on_twill_only():
 
 
 def test_there_and_back_feel_alike():
-    """No surface of the simulator has a nap: d and −d meet the same statistics, and the field has learnt that."""
+    """No surface of the simulator has a nap: d and −d meet the same statistics."""
     apart = [
         spectrum_distance_db(spectrum(m.name, direction=(0.8, 0.6)), spectrum(m.name, direction=(-0.8, -0.6)))
         for m in load_library()
     ]
-    assert np.median(apart) < 0.7
-    assert max(apart) < 2.0
+    assert max(apart) < 0.1
 
 
 @pytest.mark.parametrize("pitch", [0.5e-3, 1e-3, 2e-3])
