@@ -51,6 +51,7 @@ OWN_SIZES = (8, 16, 32)
 OWN_EVERY = 12
 LONG_STROKES = 1600
 """Of 0.3 s: 480 s of one material."""
+LONG_HARD = 5
 CURVE = (11, 43)
 """Materials; the shipped field is the last point."""
 DIRECTED = 10
@@ -98,15 +99,21 @@ def own(bench: Bench) -> dict[str, Any]:
 
 
 def long(bench: Bench) -> dict[str, Any]:
-    """Per-material fields of some materials with as much data as one material may ever have."""
+    """Per-material fields of some materials with as much data as one material may ever have: of every OWN_EVERY-th, and
+    of those from which the shared field is farthest."""
     some = list(range(3, len(bench.specimens), OWN_EVERY))
+    some += [int(m) for m in np.argsort(-bench.new_db) if m not in some][:LONG_HARD]
     sizes = Sizes(patches=2, described=0, strokes=LONG_STROKES // 2, middle_share=1.0, random=0)
     gathered = gather([bench.specimens[m] for m in some], sizes, bench.seed + 10, bench.workers)
     references = only_materials(bench.references, some)
-    distance = [
-        own_field_db(gathered, references, row, OWN_HIDDEN, bench.seed, LONG_SCHEDULE) for row in range(len(some))
+    material = gathered.material_of_strokes()
+    calls = [
+        (gathered.only(material == row), references, row, OWN_HIDDEN, bench.seed, LONG_SCHEDULE)
+        for row in range(len(some))
     ]
-    return {"some": some, "own": distance, "seconds": LONG_STROKES * sizes.seconds}
+    with ProcessPoolExecutor(bench.workers, mp_context=get_context("fork")) as pool:
+        distance = list(pool.map(own_field_db, *zip(*calls, strict=True)))
+    return {"some": some, "hard": LONG_HARD, "own": distance, "seconds": LONG_STROKES * sizes.seconds}
 
 
 def curve(bench: Bench) -> dict[str, Any]:
