@@ -21,16 +21,10 @@ from ..material.mechanics import Mechanics
 from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, TOKEN_DIM
 from .conditions import Steady, speed_grid, withhold
 from .expectation import expectation_matrices
-from .model import FieldNetwork, steady, whittle
-from .recordings import FINE_BINS, bin_widths
+from .likelihood import DENSITY_FLOOR, WindowLikelihood, arc_density
+from .model import FieldNetwork, steady
 
 Float = NDArray[np.float64]
-
-DENSITY_FLOOR = 1e-9
-"""(m/s²)²/Hz: added to both sides, 1 mm/s² over the band; below it nothing is felt."""
-COARSE_WEIGHT = 4.0
-TOTAL_WEIGHT = 15.0
-"""The total power is one more observation: a tone far too loud costs its few bins only a logarithm each."""
 
 
 @dataclass(frozen=True)
@@ -147,27 +141,16 @@ class Likelihood:
     def __init__(self, config: FieldConfig) -> None:
         self.carriers = config.carriers
         self.time, self.arc = _matrices(config.carriers)
-        self.weight = torch.ones(self.time.shape[1] + 1)
-        self.weight[FINE_BINS:-1] = COARSE_WEIGHT
-        self.weight[-1] = TOTAL_WEIGHT
-        self.width = torch.tensor(bin_widths(), dtype=torch.float32)
+        self.likelihood = WindowLikelihood()
 
     def expected(self, amplitude: Tensor, speed: Tensor) -> Tensor:
         """(n, K) amplitudes, (n,) speed indices → (n, 107)."""
         power = amplitude.square()
         time = power[:, self.carriers.time_slice] @ self.time
-        order = torch.argsort(speed)
-        values, counts = torch.unique_consecutive(speed[order], return_counts=True)
-        parts = power[order][:, self.carriers.arc_slice].split(counts.tolist())  # type: ignore[no-untyped-call]
-        arc = torch.cat([part @ self.arc[value] for part, value in zip(parts, values.tolist(), strict=True)])
-        return time + arc[torch.argsort(order)] + DENSITY_FLOOR
+        return time + arc_density(power[:, self.carriers.arc_slice], speed, self.arc) + DENSITY_FLOOR
 
     def __call__(self, amplitude: Tensor, speed: Tensor, power: Tensor) -> Tensor:
-        expected, recorded = (
-            torch.cat([density, (density @ self.width)[:, None]], dim=1)
-            for density in (self.expected(amplitude, speed), power + DENSITY_FLOOR)
-        )
-        return whittle(expected, recorded, self.weight).mean() / self.weight.sum()
+        return self.likelihood(self.expected(amplitude, speed), power + DENSITY_FLOOR)
 
 
 def fit(config: FieldConfig, data: TrainingSet, schedule: Schedule, seed: int) -> FieldNetwork:

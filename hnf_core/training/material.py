@@ -23,8 +23,8 @@ from ..files import content_hash
 from ..material.mechanics import UNKNOWN, Mechanics
 from ..material.token import TOKEN_DIM
 from .checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from .fit import COARSE_WEIGHT, DENSITY_FLOOR, TOTAL_WEIGHT
-from .model import FieldNetwork, whittle
+from .likelihood import DENSITY_FLOOR, WindowLikelihood
+from .model import FieldNetwork
 from .recordings import FINE_BINS, bin_widths
 from .rendered_power import RenderedInputs, RenderedPower, rendered_inputs, speed_table
 from .windows import TEST, TRAIN, VALIDATION, Windows, cut
@@ -119,11 +119,7 @@ class _Task:
         self.config, self.schedule, self.inputs, self.expected = config, schedule, inputs, expected
         self.power = torch.tensor(windows.power + DENSITY_FLOOR, dtype=torch.float32)
         self.role = windows.role
-        self.width = torch.tensor(bin_widths() * windows.heard, dtype=torch.float32)
-        self.weight = torch.ones(len(bin_widths()) + 1)
-        self.weight[FINE_BINS:-1] = COARSE_WEIGHT
-        self.weight[-1] = TOTAL_WEIGHT
-        self.weight[:-1] *= torch.tensor(windows.heard, dtype=torch.float32)
+        self.likelihood = WindowLikelihood(windows.heard)
 
     def rows(self, role: int) -> Tensor:
         return torch.tensor(np.flatnonzero(self.role == role))
@@ -131,11 +127,7 @@ class _Task:
     def loss(self, network: FieldNetwork, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Mean negative log-likelihood of rows, and the α head's outputs."""
         density, head = self.expected(network, self.inputs, rows)
-        expected, recorded = (
-            torch.cat([each, (each @ self.width)[:, None]], dim=1)
-            for each in (density + DENSITY_FLOOR, self.power[rows])
-        )
-        return whittle(expected, recorded, self.weight).mean() / self.weight.sum(), head
+        return self.likelihood(density + DENSITY_FLOOR, self.power[rows]), head
 
     def loss_of(self, network: FieldNetwork, rows: Tensor) -> float:
         with torch.no_grad():
@@ -278,5 +270,5 @@ def _restore(
 def _fingerprint(task: _Task, seed: int) -> str:
     """What a checkpoint must agree in: data, architecture, schedule, seed, versions."""
     words = repr((task.config, task.schedule, seed, torch.__version__, np.__version__))
-    arrays = (task.power, task.inputs.x, task.inputs.at, task.weight)
+    arrays = (task.power, task.inputs.x, task.inputs.at, task.likelihood.weight)
     return content_hash(words, *(array.numpy().tobytes() for array in arrays))

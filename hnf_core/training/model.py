@@ -103,19 +103,3 @@ def line_power(gains: Tensor, columns: Tensor, count: int) -> Tensor:
 def steady(alpha: Tensor, sigma_dt: Tensor) -> Tensor:
     """(n, 1, K), (n, N) → (n, K): a state that has lasted longer than the memory."""
     return render_weights(sigma_dt).sum(dim=-1)[:, None] * alpha[:, 0]
-
-
-OUTLIER_RATIO = 20.0
-"""Recorded over expected power beyond which a bin pulls no harder: one hop off the surface would outweigh all else."""
-
-
-def whittle(expected: Tensor, recorded: Tensor, weight: Tensor) -> Tensor:
-    """Negative Whittle log-likelihood per row: Σ w (log S + P / S); minimal in expectation where S = E P.
-
-    P. Whittle (1953), "Estimation and information in stationary time series". A loss on magnitudes of random draws
-    would learn too quiet a signal. Beyond OUTLIER_RATIO the ratio grows as its logarithm (continuous slope); a Gaussian
-    texture's mean of five windows never gets there.
-    """
-    ratio = recorded / expected
-    soft = OUTLIER_RATIO * (1.0 + torch.log(torch.clamp(ratio, min=OUTLIER_RATIO) / OUTLIER_RATIO))
-    return (weight * (torch.log(expected) + torch.where(ratio > OUTLIER_RATIO, soft, ratio))).sum(dim=-1)

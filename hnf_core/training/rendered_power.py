@@ -15,6 +15,7 @@ from ..field.linear_contact import Condition
 from ..field.rendering import STEP_S
 from ..material.mechanics import Mechanics
 from .expectation import expectation_matrices
+from .likelihood import arc_density
 from .model import FieldNetwork, render_weights
 from .windows import States, Windows
 
@@ -105,16 +106,10 @@ class RenderedPower:
             power = (real.square() + imaginary.square()).reshape(*at.shape[:2], -1)
         out = torch.einsum("q,rqk,kb->rb", inputs.share, power[..., carriers.time_slice], self.time)
         if carriers.arc_count:
-            out = out + self._arc(power[..., carriers.arc_slice], inputs.speed[at[..., 0]], inputs.share)
+            speed = inputs.speed[at[..., 0]]
+            dense = arc_density(power[..., carriers.arc_slice].flatten(0, 1), speed.flatten(), self.arc)
+            out = out + torch.einsum("q,rqb->rb", inputs.share, dense.reshape(*speed.shape, -1))
         return out, head
-
-    def _arc(self, power: Tensor, speed: Tensor, share: Tensor) -> Tensor:
-        rows, nodes, count = power.shape
-        flat, order = speed.reshape(-1), torch.argsort(speed.reshape(-1), stable=True)
-        values, counts = torch.unique_consecutive(flat[order], return_counts=True)
-        parts = power.reshape(-1, count)[order].split(counts.tolist())  # type: ignore[no-untyped-call]
-        dense = torch.cat([part @ self.arc[value] for part, value in zip(parts, values.tolist(), strict=True)])
-        return torch.einsum("q,rqb->rb", share, dense[torch.argsort(order)].reshape(rows, nodes, -1))
 
 
 def _inputs(

@@ -29,7 +29,8 @@ from hnf_core.training.fit import (  # noqa: E402
     training_set,
     turned,
 )
-from hnf_core.training.model import FieldNetwork, whittle  # noqa: E402
+from hnf_core.training.likelihood import whittle  # noqa: E402
+from hnf_core.training.model import FieldNetwork  # noqa: E402
 from hnf_core.training.recordings import observed, record  # noqa: E402
 from hnf_core.training.surfaces import fuse, make_surface, random_surfaces  # noqa: E402
 
