@@ -15,7 +15,9 @@ USUAL = 0.7
 """Share of strokes that keep to where hands mostly are; the others go wherever the data reach."""
 
 
-def training_recordings(data: DataSet, name: str, seconds: float, seed: int, source: str | None = None) -> list[Recording]:
+def training_recordings(
+    data: DataSet, name: str, seconds: float, seed: int, source: str | None = None
+) -> list[Recording]:
     """What to train on: `seconds` of wandering strokes on the material's model, or its recordings.
 
     Raises UsageError where what was asked for does not exist.

@@ -273,9 +273,7 @@ def test_a_thousand_neighbours_cost_no_work(tmp_path) -> None:
         bpy.context.scene.collection.objects.link(obj)
     _, crowded = touch(save_scene(tmp_path / "crowd.blend"), tmp_path / "crowd")
     assert crowded["counts"] == alone["counts"]
-    same = (
-        signals(tmp_path / "alone", alone)["Along"].samples == signals(tmp_path / "crowd", crowded)["Along"].samples
-    )
+    same = signals(tmp_path / "alone", alone)["Along"].samples == signals(tmp_path / "crowd", crowded)["Along"].samples
     assert same.all()
 
 
