@@ -35,6 +35,8 @@ DIRECTION_SLACK_RAD = SECTOR_RAD
 EIGHTH_TURN_RAD = np.pi / 4.0
 MIN_TOKEN_WIDTH = 0.5
 """Range of a token feature trained on one material, or nearly: 10 dB of a level."""
+FAR_WIDTHS = 0.25
+"""Beyond this a surface is called unlike any in training."""
 ORIENTED = 0.3
 """Share of the waves' power that runs one way from which a direction can be felt."""
 OTHER_KIND = 1.0
@@ -149,7 +151,10 @@ def _token(tokens: NDArray[np.float32], ranges: Ranges) -> Iterator[Remark]:
         low, high = sorted((value(float(ranges.token_low[feature])), value(float(ranges.token_high[feature]))))
         found = _plain(value(float(tokens[material, feature])))
         text = f"{what} is {found}{unit}, trained on {_plain(low)}–{_plain(high)}{unit}"
-        yield worst, f"Its surface is unlike any in training ({text}): the signal is a guess there."
+        if worst > FAR_WIDTHS:
+            yield worst, f"Its surface is unlike any in training ({text}): the signal is a guess there."
+        else:
+            yield worst, f"Its surface lies just outside training ({text})."
 
 
 def _mechanics(mechanics: list[Mechanics], ranges: Ranges) -> Iterator[Remark]:
