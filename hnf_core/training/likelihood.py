@@ -44,7 +44,7 @@ def arc_density(power: Tensor, speed: Tensor, table: Tensor) -> Tensor:
 
     Rows of one speed share one product.
     """
-    order = torch.argsort(speed, stable=True)
+    order = torch.argsort(speed)  # unstable: the order that the shipped weights were trained in
     values, counts = torch.unique_consecutive(speed[order], return_counts=True)
     parts = power[order].split(counts.tolist())  # type: ignore[no-untyped-call]
     density = torch.cat([part @ table[value] for part, value in zip(parts, values.tolist(), strict=True)])
