@@ -31,7 +31,14 @@ from hnf_core.simulation.classes import category_of, classes  # noqa: E402
 from hnf_core.training.conditions import speed_grid  # noqa: E402
 from hnf_core.training.gathering import Sizes, gather, specimens_of  # noqa: E402
 from hnf_core.training.model import FieldNetwork  # noqa: E402
-from hnf_core.training.recipe import SHARED, Plan, fit_gathered, gathered_for, references_for  # noqa: E402
+from hnf_core.training.recipe import (  # noqa: E402
+    HELD_OUT,
+    SHARED,
+    Plan,
+    fit_gathered,
+    gathered_for,
+    references_for,
+)
 from hnf_core.training.references import expected_at, middle_conditions, on_new_patches_db  # noqa: E402
 from hnf_core.training.shared_bars import (  # noqa: E402
     LONG_SCHEDULE,
@@ -56,8 +63,6 @@ CURVE = (11, 43)
 """Materials; the shipped field is the last point."""
 DIRECTED = 10
 """Materials asked for their directions: those that the linear contact of the token calls most anisotropic."""
-HELD_OUT = tuple({category_of(name): name for name in classes()}.values())
-"""The last class of every category in the table."""
 
 
 class Bench:

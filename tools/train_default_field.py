@@ -1,7 +1,9 @@
 """Train the shipped weights hnf_core/data/field.safetensors from nothing but this project's own simulator.
 
-Usage: python tools/train_default_field.py [--seed N] [--out FILE] [--workers N] [--cache DIR]
+Usage: python tools/train_default_field.py [--held-out] [--seed N] [--out FILE] [--workers N] [--cache DIR]
 Needs the extra "train". What is simulated stays in the cache for tools/evaluate_shared_field.py.
+--held-out trains hnf_core/data/field-held-out.safetensors instead, without the last class of every category: the field
+that `hnf eval` asks about classes it never met.
 """
 
 from __future__ import annotations
@@ -13,8 +15,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from hnf_core.field.weights import DEFAULT_WEIGHTS, save_field  # noqa: E402
-from hnf_core.training.recipe import SHARED, Plan, train  # noqa: E402
+from hnf_core.field.weights import DEFAULT_WEIGHTS, HELD_OUT_WEIGHTS, save_field  # noqa: E402
+from hnf_core.training.recipe import HELD_OUT, SHARED, Plan, train  # noqa: E402
 
 CACHE = ROOT / "build" / "shared-field"
 
@@ -22,15 +24,18 @@ CACHE = ROOT / "build" / "shared-field"
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=DEFAULT_WEIGHTS)
+    parser.add_argument("--out", type=Path, help="default: where the shipped weights are")
+    parser.add_argument("--held-out", action="store_true", help="leave a class of every category out")
     parser.add_argument("--library", type=Path, default=ROOT / "hnf_core" / "data" / "library.json")
     parser.add_argument("--workers", type=int, default=2, help="processes that simulate; does not change the result")
     parser.add_argument("--cache", type=Path, default=CACHE, help="folder for simulated strokes")
     arguments = parser.parse_args()
     arguments.cache.mkdir(parents=True, exist_ok=True)
-    field = train(arguments.library, Plan(), SHARED, arguments.seed, arguments.cache, arguments.workers)
-    save_field(arguments.out, field)
-    print(f"{arguments.out}: {arguments.out.stat().st_size / 1e6:.2f} MB", file=sys.stderr)
+    left, shipped = (HELD_OUT, HELD_OUT_WEIGHTS) if arguments.held_out else ((), DEFAULT_WEIGHTS)
+    field = train(arguments.library, Plan(), SHARED, arguments.seed, arguments.cache, arguments.workers, left)
+    out = arguments.out or shipped
+    save_field(out, field)
+    print(f"{out}: {out.stat().st_size / 1e6:.2f} MB", file=sys.stderr)
     return 0
 
 

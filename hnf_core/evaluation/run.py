@@ -17,7 +17,7 @@ from ..datasets.dataset import DataSet
 from ..datasets.simulated import SimulatedLibrary
 from ..errors import MaterialError
 from ..field.field import Field
-from ..field.weights import load_field
+from ..field.weights import HELD_OUT_WEIGHTS, load_field
 from ..files import write_text
 from ..material.library import find
 from .extras import direction_table, sensor_table
@@ -70,7 +70,7 @@ def run_evaluation(options: Options, watch: Callable[[str], None] = lambda _: No
     extras += [direction_table(each.directions, _names(columns)) for each in simulated if each.directions is not None]
     with _timed(timings, "held-out classes"):
         watch("held-out classes")
-        held = _held_out(options, field)
+        held = _held_out(options, None if options.budget.weights is None else field)
         notes += [held] if isinstance(held, str) else []
         extras += [held] if isinstance(held, Extra) else []
     if hatt is None:
@@ -137,14 +137,18 @@ def _columns(options: Options, simulated: Sequence[Done], recorded: Sequence[Don
     return out
 
 
-def _held_out(options: Options, field: Field) -> Extra | str:
+def _held_out(options: Options, field: Field | None) -> Extra | str:
+    """field: the user's own weights; None = those shipped for this."""
+    if field is None:
+        if not HELD_OUT_WEIGHTS.is_file():
+            return f"(c) Held-out classes: {HELD_OUT_WEIGHTS.name} is not part of the Blender extension."
+        field = load_field(HELD_OUT_WEIGHTS)
     library = SimulatedLibrary()
     names = held_out_names(field, library.materials)[: options.sizes.held_out]
     if len(names) < 2:
         return (
             "(c) Held-out classes: the weights name no classes that were kept from training "
-            '(metadata "held_out", a JSON list); give some that do with --weights FILE. docs/shared-field.md judges a '
-            "field that was trained without a class of every category."
+            '(metadata "held_out", a JSON list). Without --weights, the field that was trained so is asked.'
         )
     kept_away = set(held_out_names(field, library.materials))
     limits = library.action_range(names[0])

@@ -22,6 +22,8 @@ from .field import Field, FieldConfig
 from .ranges import MECHANICS_NAMES, SECTORS, Given, Ranges
 
 DEFAULT_WEIGHTS = Path(__file__).parent.parent / "data" / "field.safetensors"
+HELD_OUT_WEIGHTS = DEFAULT_WEIGHTS.with_name("field-held-out.safetensors")
+"""Trained without a class of every category (metadata held_out), for evaluation only."""
 FORMAT = "hnf-field-1"
 _TOKEN_LOW, _TOKEN_HIGH = "ranges.token_low", "ranges.token_high"
 _RETRAIN = "Train it again with this version, or choose other weights."

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from hashlib import blake2b
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from ..action.smooth import steady_action
 from ..field.field import Field, FieldConfig
 from ..field.ranges import Ranges, ranges_of
 from ..material import contact
+from ..simulation.classes import category_of, classes
 from .conditions import speed_grid
 from .fit import Schedule, fit, training_set
 from .gathering import Gathered, Sizes, gather, load_gathered, save_gathered, specimens_of
@@ -31,6 +33,7 @@ from .references import (
     refer,
     save_references,
 )
+from .shared_bars import only_classes, only_materials
 from .surfaces import Specimen
 
 Float = NDArray[np.float64]
@@ -49,28 +52,55 @@ class Plan:
     elsewhere: int = 4
 
 
-def train(library: Path, plan: Plan, config: FieldConfig, seed: int, cache: Path, workers: int = 2) -> Field:
+HELD_OUT = tuple({category_of(name): name for name in classes()}.values())
+"""The last class of every category in the table: what a field is asked about that was trained without them."""
+
+
+def train(
+    library: Path,
+    plan: Plan,
+    config: FieldConfig,
+    seed: int,
+    cache: Path,
+    workers: int = 2,
+    held_out: Sequence[str] = (),
+) -> Field:
     """The whole recipe. Deterministic: the same seed gives the same weights on the same machine and torch.
 
-    cache: folder where simulated strokes are kept for the next run.
+    cache: folder where simulated strokes are kept for the next run. held_out: classes to leave out; the field names
+    them in its metadata.
     """
     began = time.monotonic()
     gathered = gathered_for(library, plan, seed, cache, workers)
-    references = references_for(specimens_of(library, plan.sizes), middle_conditions(), seed, cache, workers)
+    specimens = specimens_of(library, plan.sizes)
+    references = references_for(specimens, middle_conditions(), seed, cache, workers)
+    known = [row for row, each in enumerate(specimens) if each.class_name not in held_out]
+    if held_out:
+        gathered = only_classes(gathered, [specimens[row].class_name for row in known])
+        references = only_materials(references, known)
     print(f"simulated after {time.monotonic() - began:.0f} s", file=sys.stderr)
     network = fit_gathered(gathered, plan, config, seed)
     print(f"trained after {time.monotonic() - began:.0f} s", file=sys.stderr)
-    return described(network, gathered, references, plan, seed)
+    field = described(network, gathered, references, [specimens[row] for row in known], plan, seed)
+    return replace(field, metadata={**field.metadata, "held_out": json.dumps(held_out)}) if held_out else field
 
 
-def described(network: FieldNetwork, gathered: Gathered, references: References, plan: Plan, seed: int) -> Field:
-    """The field with what it was trained on, where that lay, and how far it is from the references."""
+def described(
+    network: FieldNetwork,
+    gathered: Gathered,
+    references: References,
+    specimens: Sequence[Specimen],
+    plan: Plan,
+    seed: int,
+) -> Field:
+    """The field with what it was trained on (specimens, a row of references each), where that lay, and how far it is
+    from the references."""
     distance = on_new_patches_db(network, references)
     metrics = (
         f"average spectrum, {len(distance)} materials x {len(references.conditions)} conditions, tokens of patches not "
         f"trained on, against long runs of the simulator: median {np.median(distance):.2f} dB, "
         f"90 % below {np.percentile(distance, 90):.2f} dB, worst {distance.max():.2f} dB "
-        f"({gathered.names[int(np.argmax(distance))]}); the references themselves scatter by "
+        f"({specimens[int(np.argmax(distance))].name}); the references themselves scatter by "
         f"{float(np.median(references.scatter_db)):.2f} dB"
     )
     print(metrics, file=sys.stderr)
@@ -78,9 +108,9 @@ def described(network: FieldNetwork, gathered: Gathered, references: References,
     return Field(
         network.config, network.parameters_numpy(), ranges_of_gathered(gathered, sizes.seconds),
         {
-            "training_data": f"contact simulator of this project: {len(gathered.names)} materials of "
-            f"{len(set(gathered.classes))} classes x {sizes.patches} patches, {sizes.random} random and "
-            f"fused surfaces, {len(gathered.strokes)} steady strokes of {sizes.seconds:g} s, pen and finger; no "
+            "training_data": f"contact simulator of this project: {len(specimens)} materials of "
+            f"{len({each.class_name for each in specimens})} classes x {sizes.patches} patches, {sizes.random} random "
+            f"and fused surfaces, {len(gathered.strokes)} steady strokes of {sizes.seconds:g} s, pen and finger; no "
             "recorded data",
             "seed": str(seed),
             "metrics": metrics,

@@ -22,7 +22,7 @@ from hnf_core.evaluation.held_out import (
     nearest_token,
 )
 from hnf_core.evaluation.photo import best_decades, category_of, photo_table, scaled, token_of_photo
-from hnf_core.field.weights import load_field
+from hnf_core.field.weights import HELD_OUT_WEIGHTS, load_field
 from hnf_core.material.library import load_library
 from hnf_core.material.token import BAND_FEATURES, LEVELS, SMOOTH_LEVEL
 
@@ -130,3 +130,12 @@ def test_names_have_categories_and_bad_pictures_a_message(tmp_path: Path) -> Non
     (tmp_path / "broken.jpg").write_bytes(b"no picture")
     with pytest.raises(FileError, match="picture"):
         token_of_photo(tmp_path / "broken.jpg")
+
+
+def test_shipped_weights_for_classes_never_met_name_one_of_every_category() -> None:
+    categories = {material.name: material.category for material in load_library()}
+    library = sorted(categories)
+    names = held_out_names(load_field(HELD_OUT_WEIGHTS), library)
+    assert len(names) == 12
+    assert {categories[name] for name in names} == set(categories.values())
+    assert held_out_names(load_field(), library) == ()
