@@ -71,6 +71,8 @@ def split_profile(profile: HeightProfile, carriers: Carriers) -> ProfileBands:
     step = carriers.arc_step_m(octaves - 1)
     first = int(np.ceil(profile.origin_m / step))
     place = (np.arange(first, int(np.floor((profile.origin_m + length) / step)) + 1) * step - profile.origin_m) / step
+    if len(place) < 4:
+        return ProfileBands((), (), power)  # shorter than four samples of the finest octave: nothing to feel
     height = cubic(np.asarray(profile.height, dtype=np.float64), place * step / profile.step_m)
     height = height - np.linspace(height[0], height[-1], len(height))
     # Room for the ringing of the narrowest band, so that one end does not reach round to the other.

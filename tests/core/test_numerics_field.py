@@ -11,6 +11,7 @@ from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.errors import StrokeError
 from hnf_core.field.carriers import Carriers
 from hnf_core.field.field import Field, FieldConfig, accumulate, evaluate, initial_parameters
+from hnf_core.field.profile import split_profile
 from hnf_core.field.stroke import LIMITS, HeightProfile, StrokeInput, uniform_stroke
 from hnf_core.field.synthesis import amplitudes, contact_term, prepare, synthesise
 from hnf_core.field.timeline import condition_of, states_of
@@ -211,3 +212,8 @@ def test_what_is_read_is_never_above_the_model_rates_band():
     assert not (loud[1:] | loud[:-1])[read > 4800.0].any()
     assert loud[5:19, -24:].any()
     assert loud[25:, :24].all()
+
+
+def test_a_profile_shorter_than_any_carrier_s_wave_gives_nothing() -> None:
+    tiny = HeightProfile(step_m=1e-9, origin_m=1e-9, height=np.array([0.0, 1e-9, 0.0, 1e-9]), resolved_wavelength_m=0.0)
+    assert not split_profile(tiny, Carriers()).power.any()
