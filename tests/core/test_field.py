@@ -68,10 +68,21 @@ def rms_of(field, entry, speed, force, direction=ALONG):
     return expected_rms(field, entry.token, entry.mechanics, "pen", direction, speed, force)
 
 
-def both_ways(field, entry, speed, force):
-    """Under the two directions that the library itself is held to (simulation.feel), not exactly along its axes."""
-    rms = [rms_of(field, entry, speed, force, (np.cos(angle), np.sin(angle))) for angle in ANGLES]
+def both_ways(field, entry, speed, force, angles):
+    rms = [rms_of(field, entry, speed, force, (np.cos(angle), np.sin(angle))) for angle in angles]
     return float(np.hypot(*rms)) / 2**0.5
+
+
+AXES = (0.0, 0.5 * np.pi)
+BEYOND_ON_AXES = pytest.mark.xfail(
+    strict=True, reason="speed exponent 1.52 exactly along the threads, where the simulator itself has 1.44"
+)
+BEYOND = ("carbon-fibre", AXES)
+WAYS = [
+    pytest.param(e, angles, id=f"{e.name}-{name}", marks=BEYOND_ON_AXES if (e.name, angles) == BEYOND else ())
+    for e in LIBRARY
+    for name, angles in (("axes", AXES), ("library", ANGLES))
+]
 
 
 # -- what the shipped weights must hold ------------------------------------------------------------------------------
@@ -84,10 +95,16 @@ def test_every_library_material_feels_like_a_material(entry):
         assert 0.1 <= rms_of(field, entry, 0.1, 1.0, direction) <= 30.0
         density = expected_spectrum(field, entry.token, entry.mechanics, "pen", direction, 0.1, 1.0, FREQUENCY)
         assert density[FREQUENCY < 1000.0].sum() > 0.5 * density.sum()
-    by_speed = np.log(both_ways(field, entry, 0.15, 1.0) / both_ways(field, entry, 0.05, 1.0)) / np.log(3.0)
-    assert 0.4 <= by_speed <= 1.4
-    by_force = np.log(both_ways(field, entry, 0.1, 2.0) / both_ways(field, entry, 0.1, 0.5)) / np.log(4.0)
-    assert -0.1 <= by_force <= 0.7
+
+
+@pytest.mark.parametrize(("entry", "angles"), WAYS)
+def test_every_library_material_answers_to_speed_and_force(entry, angles):
+    """Exactly along the axes, and under the angles that the library itself is held to (simulation.feel)."""
+    field = load_field()
+    by_speed = np.log(both_ways(field, entry, 0.15, 1.0, angles) / both_ways(field, entry, 0.05, 1.0, angles))
+    assert 0.4 <= by_speed / np.log(3.0) <= 1.4
+    by_force = np.log(both_ways(field, entry, 0.1, 2.0, angles) / both_ways(field, entry, 0.1, 0.5, angles))
+    assert -0.1 <= by_force / np.log(4.0) <= 0.7
 
 
 def test_materials_differ():
