@@ -5,28 +5,46 @@ Importing this package needs no bpy: the command line and the tests of the core 
 
 from __future__ import annotations
 
+import importlib
+from types import ModuleType
 from typing import Any
 
+ROOMS = ("props", "prefs", "jobs", "preview", "ops", "tool", "ui", "handlers")
+"""Sub-modules with register() and unregister(), in order; each may use those before it."""
+
 _commands: list[Any] = []
+_registered: list[ModuleType] = []
 
 
 def register() -> None:
-    """Called by Blender when the add-on is switched on: stroke properties, and `blender -b --command hnf`."""
+    """Called by Blender when the add-on is switched on. Where a part cannot be loaded, a panel says why instead."""
     import bpy
 
-    from . import props
-    from .cli import main
+    from . import rescue
 
-    props.register()
-    _commands.append(bpy.utils.register_cli_command("hnf", main))
+    try:
+        for name in ROOMS:
+            room = importlib.import_module(f".{name}", __package__)
+            room.register()
+            _registered.append(room)
+        from .cli import main
+
+        _commands.append(bpy.utils.register_cli_command("hnf", main))
+    except Exception as error:
+        unregister()
+        if bpy.app.background:
+            raise
+        rescue.register(error)
 
 
 def unregister() -> None:
     """Called by Blender when the add-on is switched off."""
     import bpy
 
-    from . import props
+    from . import rescue
 
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
-    props.unregister()
+    while _registered:
+        _registered.pop().unregister()
+    rescue.unregister()

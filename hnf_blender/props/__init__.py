@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from . import stroke
+from . import material, scene, stroke
+
+GROUPS = (stroke, material, scene)
 
 
 def register() -> None:
-    stroke.register()
+    for group in GROUPS:
+        group.register()
 
 
 def unregister() -> None:
-    stroke.unregister()
+    for group in reversed(GROUPS):
+        group.unregister()

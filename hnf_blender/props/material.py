@@ -1,0 +1,23 @@
+"""Material.hnf_touch: the artist's own word on what a material feels like."""
+
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
+import bpy
+
+
+class HnfMaterial(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no types
+    library: bpy.props.StringProperty(
+        name="Feels like",
+        description="Library material chosen by hand; no bake overwrites it. Empty: taken from how the material looks",
+        default="",
+    )
+
+
+def register() -> None:
+    bpy.utils.register_class(HnfMaterial)
+    bpy.types.Material.hnf_touch = bpy.props.PointerProperty(type=HnfMaterial)
+
+
+def unregister() -> None:
+    del bpy.types.Material.hnf_touch
+    bpy.utils.unregister_class(HnfMaterial)

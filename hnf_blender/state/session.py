@@ -1,0 +1,96 @@
+"""The one place of run-time state. Panels read it, jobs and handlers write it; everything in it can be made again from
+the .blend. Blender data is named, never referenced: a reference dies with the next undo."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+
+class Freshness(Enum):
+    """How a stroke's stored bake stands to the scene.
+
+    UNKNOWN: not looked at since the last change. UNBAKED: none. FRESH: true as it is. FORCE: only force, seed or probe
+    changed; heard at once, nothing to bake. STALE: path, timing, surface or material changed; must be baked again.
+    BROKEN: the stroke cannot be read; why says so.
+    """
+
+    UNKNOWN = "unknown"
+    UNBAKED = "unbaked"
+    FRESH = "fresh"
+    FORCE = "force"
+    STALE = "stale"
+    BROKEN = "broken"
+
+
+@dataclass(frozen=True)
+class StrokeStatus:
+    """why: one sentence for the artist. duration_s, library_material, routes, confidence, warnings: as last baked."""
+
+    freshness: Freshness
+    why: str = ""
+    duration_s: float = 0.0
+    object_name: str = ""
+    library_material: str = ""
+    routes: str = ""
+    confidence: float = 0.0
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class JobStatus:
+    """stage, done of total, elapsed_s, left_s (None = not known yet): of the running job, for panels and status bar."""
+
+    title: str
+    stage: str
+    done: int
+    total: int
+    elapsed_s: float
+    left_s: float | None
+
+
+@dataclass(frozen=True)
+class LastJob:
+    """How the last job ended. ok False: message says what went wrong and what to do."""
+
+    ok: bool
+    message: str
+    details: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class PlanLine:
+    """One line of the plan as the Scene panel shows it. kind: "needed", "fresh", "skipped", "failed" or "note"."""
+
+    kind: str
+    what: str
+    why: str
+
+
+@dataclass(frozen=True)
+class PlanView:
+    """lines: of the plan. seconds: estimate for what is needed. bytes_after: what the bake will keep in the .blend."""
+
+    lines: tuple[PlanLine, ...]
+    seconds: float
+    bytes_after: int
+
+
+@dataclass
+class SessionState:
+    """strokes: by stroke object name. dirty: names of datablocks changed since their strokes were looked at."""
+
+    strokes: dict[str, StrokeStatus] = field(default_factory=dict)
+    dirty: set[str] = field(default_factory=set)
+    job: JobStatus | None = None
+    last_job: LastJob | None = None
+    plan: PlanView | None = None
+
+    def clear(self) -> None:
+        """Forget everything: another file is open."""
+        self.strokes.clear()
+        self.dirty.clear()
+        self.job = self.last_job = self.plan = None
+
+
+STATE = SessionState()
