@@ -26,7 +26,7 @@ class Budget:
 @dataclass(frozen=True)
 class Entry:
     """key: for --methods. diet: what it learns from. make: the method itself (imports torch only then). most: materials
-    of a column on which it takes part; None = all. learns: False where recordings are not needed. shows: key of the
+    of a run on which it takes part; None = all. learns: False where recordings are not needed. shows: key of the
     entry whose fit this one shows in another form, so that it is trained once."""
 
     key: str

@@ -111,7 +111,9 @@ def _jobs(options: Options, hatt: DataSet | None) -> list[Job]:
     if hatt is not None:
         known = [name for name in HATT if name in hatt.materials]
         rest = [name for name in hatt.materials if name not in known]
-        jobs += [job("hatt", name, place) for place, name in enumerate([*known, *rest][: options.sizes.hatt])]
+        jobs += [
+            job("hatt", name, len(jobs) + place) for place, name in enumerate([*known, *rest][: options.sizes.hatt])
+        ]
     return jobs
 
 
