@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +13,10 @@ from hnf_core.export.path_on_view import StrokeView
 from hnf_core.export.picture import stroke_picture
 from hnf_core.export.wav import wav_bytes
 from hnf_core.files import content_hash, write_atomically, write_bytes
-from hnf_core.material.fuse import routes_by_band, routes_in_words
+from hnf_core.material.fuse import routes_by_band
 
 from ..bridge.quiet import quiet
-from .feel import BakedStroke, Felt
+from .feel import BakedStroke, Felt, delivered, signal_facts
 from .jobs import Job
 from .report import StrokeReport
 
@@ -28,24 +27,16 @@ def deliver(folder: Path, job: Job, baked: BakedStroke, felt: Felt, view: Stroke
     record, fused = baked.records[patch], baked.fused[patch]
     routes = routes_by_band(fused.routes)
     resolved = record.resolved_wavelength_m if np.isfinite(record.resolved_wavelength_m) else None
-    names = list(dict.fromkeys(entry.library.name for entry in baked.materials.values()))
-    facts = {
-        "stroke": job.name,
-        "object": job.object_name,
-        "material": main.shader,
-        "library_material": ", ".join(names),
-        "routes": routes_in_words(fused.routes),
-        "height_source": record.height_source,
-        "confidence": f"{felt.confidence:.3f}",
-    }
-    signal = replace(felt.signal, provenance={**felt.signal.provenance, **facts})
+    facts = signal_facts(baked)
+    names = facts["library_material"]
+    signal = delivered(felt.signal, job.name, facts, felt.confidence)
     data = wav_bytes(signal, where=f"stroke '{job.name}'")
     stem = file_stem(job.name)
     write_bytes(folder / f"{stem}.wav", data)
     stroke_picture(
         folder / f"{stem}.png", title=job.name, action=felt.action, signal=signal, view=view,
         facts={
-            "Material": f"{main.shader or 'no material'} on {job.object_name} → {', '.join(names)}, "
+            "Material": f"{main.shader or 'no material'} on {job.object_name} → {names}, "
                         f"{main.confidence:.0%} ({main.reason})",
             "Routes": facts["routes"],
             "Height": _height_line(record.height_source, resolved),
@@ -56,7 +47,7 @@ def deliver(folder: Path, job: Job, baked: BakedStroke, felt: Felt, view: Stroke
         name=job.name,
         object=job.object_name,
         material=main.shader,
-        library_material=", ".join(names),
+        library_material=names,
         routes=routes,
         resolved_wavelength_m=resolved,
         height_source=record.height_source,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from hnf_core.field.field import Field
 from hnf_core.field.stroke import StrokeInput
 from hnf_core.field.stroke_profile import stroke_profile
 from hnf_core.field.synthesis import synthesise
-from hnf_core.material.fuse import BANDS, FusedToken, fuse
+from hnf_core.material.fuse import BANDS, FusedToken, fuse, routes_in_words
 from hnf_core.material.library import find, load_library
 from hnf_core.material.material import LibraryMaterial
 from hnf_core.material.prior import rank
@@ -102,12 +102,17 @@ class BakedStroke:
 
 @dataclass(frozen=True)
 class Felt:
-    """What a stroke gives. confidence: 0–1, of material and synthesis together."""
+    """What a stroke gives. stroke: what synthesis was given. confidence: 0–1, of material and synthesis together.
+    warnings: what lowered the synthesis's own."""
 
-    action: Action
+    stroke: StrokeInput
     signal: Signal
     confidence: float
     warnings: tuple[str, ...]
+
+    @property
+    def action(self) -> Action:
+        return self.stroke.action
 
 
 def bake_stroke(
@@ -154,30 +159,58 @@ def decide_material(
 
 def feel(baked: BakedStroke, field: Field, seed: int, counts: Counts) -> Felt:
     """Synthesise a baked stroke. counts grows by one F_Θ call."""
+    given = stroke_input(baked)
+    counts.network_calls += 1
+    made = synthesise(field, given, seed=seed)
+    share = mean_share(known_shares(baked), baked.patch_index)
+    return Felt(given, made.signal, share * made.confidence, made.warnings)
+
+
+def stroke_input(baked: BakedStroke) -> StrokeInput:
+    """What the field is asked about a baked stroke: one token and one mechanics per patch."""
     action = action_from_contacts(baked.contacts, baked.patches, baked.patch_index, baked.stroke.probe)
     maps = [tactile_map_of(record) for record in baked.records]
-    given = StrokeInput(
+    return StrokeInput(
         action=action,
         tokens=np.stack([fused.values for fused in baked.fused]).astype(np.float32),
         mechanics=tuple(baked.materials[patch.slot].library.mechanics for patch in baked.patches),
         token_index=_held(baked.patch_index),
         profile=stroke_profile(action.position, baked.contacts.point, baked.patch_index, baked.patches, maps),
     )
-    counts.network_calls += 1
-    made = synthesise(field, given, seed=seed)
-    return Felt(action, made.signal, known_share(baked) * made.confidence, made.warnings)
 
 
-def known_share(baked: BakedStroke) -> float:
-    """How far the field's condition is known, 0–1: the seven bands of the texture by their routes, and the three
-    mechanical properties, which no picture shows, by the confidence in the library material; mean over touch time."""
-    touched = np.bincount(baked.patch_index[baked.patch_index >= 0], minlength=len(baked.patches))
+def known_shares(baked: BakedStroke) -> NDArray[np.float64]:
+    """(M,) how far the field's condition is known on each patch, 0–1: the seven bands of the texture by their routes,
+    and the three mechanical properties, which no picture shows, by the confidence in the library material."""
     guess = [baked.materials[patch.slot].confidence for patch in baked.patches]
-    share = [
+    return np.array([
         (BANDS * fused.confidence + MECHANICAL_PROPERTIES * sure) / (BANDS + MECHANICAL_PROPERTIES)
         for fused, sure in zip(baked.fused, guess, strict=True)
-    ]
-    return float(np.average(share, weights=touched))
+    ])  # fmt: skip
+
+
+def mean_share(shares: NDArray[np.float64], patch_index: NDArray[np.int32]) -> float:
+    """Mean of known_shares (M,) over touch time. patch_index: (n,), −1 where nothing is touched."""
+    touched = np.bincount(patch_index[patch_index >= 0], minlength=len(shares))
+    return float(np.average(shares, weights=touched))
+
+
+def signal_facts(baked: BakedStroke) -> dict[str, str]:
+    """What a WAV says of where its signal comes from, apart from the stroke's own name and its confidence."""
+    patch = baked.main_patch
+    return {
+        "object": baked.stroke.object_name,
+        "material": baked.main_material.shader,
+        "library_material": ", ".join(dict.fromkeys(entry.library.name for entry in baked.materials.values())),
+        "routes": routes_in_words(baked.fused[patch].routes),
+        "height_source": baked.records[patch].height_source,
+    }
+
+
+def delivered(signal: Signal, name: str, facts: Mapping[str, str], confidence: float) -> Signal:
+    """The signal with its origin written on it, as every WAV of a stroke has it. facts: of signal_facts."""
+    origin = {**signal.provenance, "stroke": name, **facts, "confidence": f"{confidence:.3f}"}
+    return replace(signal, provenance=origin)
 
 
 def _held(index: NDArray[np.int32]) -> NDArray[np.int32]:

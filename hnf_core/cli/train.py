@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -102,12 +103,19 @@ def _train(
     checkpoint = arguments.out.with_name(f"{arguments.out.name}.checkpoint")
     if arguments.fresh:
         checkpoint.unlink(missing_ok=True)
+    found_checkpoint = checkpoint.exists()
     bar = ProgressBar()
+
+    def watch(done: int, total: int, loss: float) -> None:
+        if done == 1 and found_checkpoint:
+            print(f"hnf: {checkpoint} is damaged or of another run: training began anew.", file=sys.stderr)
+        bar.show(Progress(f"validation loss {loss:.4f}", done, total))
+
     try:
         return train_own(
             recordings, kind, LICENCES[kind], arguments.seed,
             Choices(arguments.hidden, arguments.layers, arguments.states, arguments.accumulation, arguments.epochs),
-            checkpoint, lambda done, total, loss: bar.show(Progress(f"validation loss {loss:.4f}", done, total)),
+            checkpoint, watch,
         )  # fmt: skip
     finally:
         bar.close()

@@ -124,7 +124,9 @@ def test_a_run_killed_outright_is_taken_up_again(folder: Path, tmp_path: Path) -
         words = ["train", "field", "--data", "hatt", str(folder), "--material", "Test Cloth", "--out", str(out)]
         code = "import sys; from hnf_core.cli.main import main; sys.exit(main(sys.argv[1:], lambda arguments: 1))"
         quick = ["--seconds", "20", "--epochs", "6", "--hidden", "16", "--layers", "2"]
-        return subprocess.Popen([sys.executable, "-c", code, *words, *quick], stderr=subprocess.DEVNULL)
+        return subprocess.Popen(
+            [sys.executable, "-c", code, *words, *quick], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
+        )
 
     whole, killed = tmp_path / "whole.safetensors", tmp_path / "killed.safetensors"
     assert start(whole).wait(timeout=200) == 0
@@ -138,9 +140,16 @@ def test_a_run_killed_outright_is_taken_up_again(folder: Path, tmp_path: Path) -
     assert run.wait(timeout=20) == -signal.SIGKILL
     assert checkpoint.exists()
     assert not killed.exists()
-    assert start(killed).wait(timeout=200) == 0
+    again = start(killed)
+    assert "began anew" not in again.communicate(timeout=200)[1]
+    assert again.returncode == 0
     assert killed.read_bytes() == whole.read_bytes()
     assert not checkpoint.exists()
+    checkpoint.write_bytes(b"no checkpoint")
+    anew = start(killed)
+    assert f"{checkpoint} is damaged or of another run" in anew.communicate(timeout=200)[1]
+    assert anew.returncode == 0
+    assert killed.read_bytes() == whole.read_bytes()
 
 
 @needs_hatt
