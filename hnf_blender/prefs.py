@@ -1,9 +1,63 @@
-"""Preferences of the add-on."""
+"""Preferences of the add-on, and how the rest of it reads them."""
 
-from __future__ import annotations
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+
+from hnf_core.material.mechanics import PROBES
+
+from .state.session import STATE
 
 
-def register() -> None: ...
+@dataclass(frozen=True)
+class Settings:
+    """What holds where the add-on was not switched on through the preferences (tests, the command line).
+
+    overlay: draw strokes in the 3-D view. default_probe: of new strokes.
+    """
+
+    overlay: bool = True
+    default_probe: str = "pen"
 
 
-def unregister() -> None: ...
+class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy has no types
+    bl_idname = __package__
+
+    overlay: bpy.props.BoolProperty(
+        name="Show strokes in the 3-D view",
+        description="Paths coloured by force in newtons, direction ticks and the point of contact at the playhead",
+        default=Settings.overlay,
+    )
+    default_probe: bpy.props.EnumProperty(
+        name="Probe of new strokes",
+        description="What touches the surface where nothing else is said",
+        items=[(name, name.capitalize(), f"Touch with the {name}") for name in PROBES],
+        default=Settings.default_probe,
+    )
+
+    def draw(self, _context: Any) -> None:
+        from .ui.diagnose_panel import draw_cache
+
+        layout = self.layout
+        layout.use_property_split = True
+        layout.prop(self, "overlay")
+        layout.prop(self, "default_probe")
+        draw_cache(layout, STATE)
+        layout.label(text="No torch needed: drawing, baking, preview and export run in Blender as it is", icon="INFO")
+
+
+def settings(context: Any = None) -> Any:
+    """The preferences, or Settings() where Blender keeps none for this package; the names are the same."""
+    addon = (context or bpy.context).preferences.addons.get(__package__)
+    return Settings() if addon is None or addon.preferences is None else addon.preferences
+
+
+def register() -> None:
+    bpy.utils.register_class(HnfPreferences)
+
+
+def unregister() -> None:
+    bpy.utils.unregister_class(HnfPreferences)

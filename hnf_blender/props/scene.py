@@ -2,6 +2,8 @@
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
+from typing import Any
+
 import bpy
 
 
@@ -47,3 +49,22 @@ def register() -> None:
 def unregister() -> None:
     del bpy.types.Scene.hnf
     bpy.utils.unregister_class(HnfScene)
+
+
+def strokes_of(scene: Any) -> list[Any]:
+    """The scene's stroke objects, muted ones too, in the order of its objects."""
+    return [obj for obj in scene.objects if obj.hnf_stroke.is_stroke]
+
+
+def active_stroke(context: Any) -> Any:
+    """The stroke that panels and operators speak of, or None: the active object where it is one, else the one picked
+    in the list, else the only one there is."""
+    scene = context.scene
+    active = context.view_layer.objects.active
+    if active is not None and active.hnf_stroke.is_stroke and scene.objects.get(active.name) == active:
+        return active
+    index = scene.hnf.stroke_index
+    if index < len(scene.objects) and scene.objects[index].hnf_stroke.is_stroke:
+        return scene.objects[index]
+    strokes = strokes_of(scene)
+    return strokes[0] if len(strokes) == 1 else None
