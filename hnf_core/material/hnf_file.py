@@ -1,0 +1,209 @@
+"""`.hnf`: one material as a file, to keep, to send and to drop on a surface.
+
+The safetensors layout (no pickle): "token" F32 and "known" BOOL, (TOKEN_DIM,) each, and text metadata: format, encoder,
+name, category, licence, and as JSON words, appearance and mechanics, null = not known. A file is a few kilobytes.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import FileError, MaterialError
+from ..files import write_bytes
+from .fuse import fuse
+from .material import Appearance, LibraryMaterial
+from .mechanics import UNKNOWN, Mechanics
+from .token import ENCODER_ID, TOKEN_DIM, Token
+
+SUFFIX = ".hnf"
+FORMAT = "hnf-material-1"
+LARGEST = 1 << 20
+"""Bytes of a whole file, and more than any header needs: a file that claims more is not a material."""
+LONGEST_NAME = 63
+"""Bytes of a name that Blender keeps whole."""
+UNSEEN = Appearance()
+_TENSORS = {"token": ("F32", 4), "known": ("BOOL", 1)}
+_REMEDY = "Get the file again, or write it with: hnf materials --export NAME --out FILE.hnf"
+
+
+@dataclass(frozen=True, eq=False)
+class MaterialFile:
+    """What a `.hnf` file says.
+
+    name: one line, for people. category: one of the library's, or "". words: what such a material is called.
+    token: m = E(I); what it does not know is left to the library (complete). licence: an SPDX expression or words.
+    Two are equal when their bytes are. Raises MaterialError where a value cannot be: an empty name, a token that is not
+    finite, a negative stiffness.
+    """
+
+    name: str
+    token: Token
+    mechanics: Mechanics = UNKNOWN
+    category: str = ""
+    words: tuple[str, ...] = ()
+    appearance: Appearance = UNSEEN
+    licence: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.name.strip() or not self.name.isprintable() or len(self.name.encode()) > LONGEST_NAME:
+            raise MaterialError(f"a material's name must be one line of at most {LONGEST_NAME} bytes.")
+        values, known = self.token.values, self.token.known
+        if values.shape != (TOKEN_DIM,) or known.shape != (TOKEN_DIM,):
+            raise MaterialError(f"a token has {TOKEN_DIM} values and flags, not {values.shape} and {known.shape}.")
+        if values.dtype != np.float32 or known.dtype != np.bool_ or not np.isfinite(values).all():
+            raise MaterialError("a token's values must be finite float32, its flags true or false.")
+        for name, value in asdict(self.mechanics).items():
+            if value is not None and not (math.isfinite(value) and value >= 0.0):
+                raise MaterialError(f"{name} must be a number from 0 up, not {value}.")
+        for name, value in asdict(self.appearance).items():
+            for channel in () if value is None else np.ravel(value):
+                if not 0.0 <= channel <= 1.0:
+                    raise MaterialError(f"{name} must lie between 0 and 1, not {channel:g}.")
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, MaterialFile) and self.to_bytes() == other.to_bytes()
+
+    def __hash__(self) -> int:
+        return hash(self.to_bytes())
+
+    def to_bytes(self) -> bytes:
+        """The file. Equal materials give equal bytes."""
+        metadata = {
+            "format": FORMAT,
+            "encoder": ENCODER_ID,
+            "name": self.name,
+            "category": self.category,
+            "licence": self.licence,
+            "words": json.dumps(self.words),
+            "appearance": json.dumps(asdict(self.appearance), sort_keys=True),
+            "mechanics": json.dumps(asdict(self.mechanics), sort_keys=True),
+        }
+        token, known = self.token.values.astype("<f4").tobytes(), self.token.known.tobytes()
+        header = {
+            "__metadata__": metadata,
+            "token": {"dtype": "F32", "shape": [TOKEN_DIM], "data_offsets": [0, len(token)]},
+            "known": {"dtype": "BOOL", "shape": [TOKEN_DIM], "data_offsets": [len(token), len(token) + len(known)]},
+        }
+        text = json.dumps(header, sort_keys=True).encode("utf-8")
+        text += b" " * (-len(text) % 8)
+        return len(text).to_bytes(8, "little") + text + token + known
+
+    def complete(self, prior: LibraryMaterial) -> LibraryMaterial:
+        """This material with nothing left open: what its token does not know comes from prior, and so does each
+        mechanical property that it does not name."""
+        whole = bool(self.token.known.all())
+        token = self.token.values if whole else fuse(self.token, prior.token, 0.0).values
+        given = {name: value for name, value in asdict(self.mechanics).items() if value is not None}
+        mechanics = replace(prior.mechanics, **given)
+        return LibraryMaterial(self.name, self.category, self.words, self.appearance, mechanics, token)
+
+
+def from_library(material: LibraryMaterial, licence: str = "") -> MaterialFile:
+    """A library material as a file of its own: everything but the recipe that it was simulated from."""
+    token = Token(material.token.astype(np.float32), np.ones(TOKEN_DIM, dtype=bool))
+    return MaterialFile(
+        material.name, token, material.mechanics, material.category, material.words, material.appearance, licence
+    )
+
+
+def write_hnf(path: Path, material: MaterialFile) -> None:
+    """Write material atomically. Raises FileError where the disk refuses; an earlier file is then unharmed."""
+    write_bytes(path, material.to_bytes())
+
+
+def read_hnf(path: Path) -> MaterialFile:
+    """Read a `.hnf` file. Raises FileError where it is missing or damaged (see parse_hnf)."""
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(LARGEST + 1)
+    except OSError as error:
+        raise FileError(
+            f"cannot be read ({error.strerror or error}).", where=str(path), remedy="Check the file's path."
+        ) from error
+    return parse_hnf(data, str(path))
+
+
+def parse_hnf(data: bytes, where: str) -> MaterialFile:
+    """The material that to_bytes wrote; where names the source in messages.
+
+    Raises FileError where the bytes are no such file, end early, claim a huge header, hold arrays of another shape or
+    values that cannot be, or belong to another encoder.
+    """
+    try:
+        metadata, arrays = _unpack(data)
+        if metadata.get("format") != FORMAT:
+            raise ValueError(f"its format is {metadata.get('format', 'not given')!r}, not {FORMAT!r}")
+        if metadata.get("encoder") != ENCODER_ID:
+            raise FileError(
+                f"its token comes from encoder {metadata.get('encoder', '')!r}, and this version reads {ENCODER_ID!r}.",
+                where=where,
+                remedy="Ask for a file of this version, or describe the material again with this version.",
+            )
+        return MaterialFile(
+            name=metadata["name"],
+            token=Token(np.frombuffer(arrays["token"], "<f4").astype(np.float32), _flags(arrays["known"])),
+            mechanics=Mechanics(**_numbers(metadata["mechanics"], Mechanics)),
+            category=metadata.get("category", ""),
+            words=tuple(str(word) for word in json.loads(metadata.get("words", "[]"))),
+            appearance=_appearance(metadata["appearance"]),
+            licence=metadata.get("licence", ""),
+        )
+    except (ValueError, KeyError, TypeError, RecursionError, OverflowError, MaterialError) as error:
+        why = f"{error} is missing" if isinstance(error, KeyError) else str(error).rstrip(".")
+        raise FileError(f"is not a usable material file: {why}.", where=where, remedy=_REMEDY) from error
+
+
+def _unpack(data: bytes) -> tuple[dict[str, str], dict[str, bytes]]:
+    """Metadata and the raw bytes of the two arrays. Raises ValueError, KeyError or TypeError on damage."""
+    size = int.from_bytes(data[:8], "little")
+    if len(data) < 8:
+        raise ValueError("it ends early")
+    if size > LARGEST or len(data) > LARGEST:
+        raise ValueError("it claims to be larger than any material")
+    if size > len(data) - 8:
+        raise ValueError("it ends early")
+    header = json.loads(data[8 : 8 + size].decode("utf-8"))
+    metadata = {str(key): str(value) for key, value in dict(header["__metadata__"]).items()}
+    body = data[8 + size :]
+    arrays = {}
+    for name, (dtype, width) in _TENSORS.items():
+        entry = header[name]
+        start, stop = (int(offset) for offset in entry["data_offsets"])
+        if entry["dtype"] != dtype or entry["shape"] != [TOKEN_DIM] or stop - start != TOKEN_DIM * width:
+            raise ValueError(f"{name} should be {dtype} of shape [{TOKEN_DIM}]")
+        if start < 0 or stop > len(body):
+            raise ValueError("it ends early")
+        arrays[name] = body[start:stop]
+    return metadata, arrays
+
+
+def _flags(data: bytes) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    flags = np.frombuffer(data, np.uint8)
+    if (flags > 1).any():
+        raise ValueError("known holds something else than true and false")
+    return flags.astype(np.bool_)
+
+
+def _numbers(text: str, kind: type) -> dict[str, float | None]:
+    """The fields of a dataclass of numbers from JSON; what is not there is unknown, what is too much is refused."""
+    record: Mapping[str, Any] = json.loads(text)
+    unknown = set(record) - {field.name for field in fields(kind)}
+    if unknown:
+        raise ValueError(f"{', '.join(sorted(unknown))} is not known here")
+    return {name: None if value is None else float(value) for name, value in record.items()}
+
+
+def _appearance(text: str) -> Appearance:
+    record = dict(json.loads(text))
+    colour = record.pop("base_color", None)
+    if colour is not None:
+        red, green, blue = (float(channel) for channel in colour)
+        colour = (red, green, blue)
+    return Appearance(colour, **_numbers(json.dumps(record), Appearance))
