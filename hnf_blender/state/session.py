@@ -5,6 +5,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hnf_core.material.prior import Suggestion
 
 
 class Freshness(Enum):
@@ -78,18 +82,22 @@ class PlanView:
 
 @dataclass
 class SessionState:
-    """strokes: by stroke object name. dirty: names of datablocks changed since their strokes were looked at."""
+    """strokes: by stroke object name. dirty: names of datablocks changed since their strokes were looked at.
+    suggestions: by Blender material name, the most apt first. diagnosis: (name, value) as last collected."""
 
     strokes: dict[str, StrokeStatus] = field(default_factory=dict)
     dirty: set[str] = field(default_factory=set)
     job: JobStatus | None = None
     last_job: LastJob | None = None
     plan: PlanView | None = None
+    suggestions: dict[str, tuple[Suggestion, ...]] = field(default_factory=dict)
+    diagnosis: tuple[tuple[str, str], ...] = ()
 
     def clear(self) -> None:
         """Forget everything: another file is open."""
         self.strokes.clear()
         self.dirty.clear()
+        self.suggestions.clear()
         self.job = self.last_job = self.plan = None
 
 
