@@ -170,12 +170,16 @@ def stroke_input(baked: BakedStroke) -> StrokeInput:
     """What the field is asked about a baked stroke: one token and one mechanics per patch."""
     action = action_from_contacts(baked.contacts, baked.patches, baked.patch_index, baked.stroke.probe)
     maps = [tactile_map_of(record) for record in baked.records]
+    profile = stroke_profile(action.position, baked.contacts.point, baked.patch_index, baked.patches, maps)
+    if profile is not None:
+        # Its maps are float32: more digits would say nothing, and a stored stroke would be twice as large.
+        profile = replace(profile, height=profile.height.astype(np.float32).astype(np.float64))
     return StrokeInput(
         action=action,
         tokens=np.stack([fused.values for fused in baked.fused]).astype(np.float32),
         mechanics=tuple(baked.materials[patch.slot].library.mechanics for patch in baked.patches),
         token_index=_held(baked.patch_index),
-        profile=stroke_profile(action.position, baked.contacts.point, baked.patch_index, baked.patches, maps),
+        profile=profile,
     )
 
 

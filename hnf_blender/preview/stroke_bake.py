@@ -1,0 +1,231 @@
+"""What a stroke needs to be heard without rendering anything: kept as bytes on its curve object.
+
+The signal synthesised from it is, byte for byte, the one that `hnf touch` writes for the same stroke.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.action.action import Action
+from hnf_core.errors import FileError, HnfError, SceneError, StrokeError
+from hnf_core.field.stroke import HeightProfile, StrokeInput
+from hnf_core.material.mechanics import PROBES, Mechanics
+
+if TYPE_CHECKING:
+    from ..touch.feel import BakedStroke, Felt
+
+BAKE_PROPERTY = "hnf_bake"
+"""ID property of the stroke's curve object."""
+SCHEMA = 1
+_MECHANICS = ("stiffness_n_m", "damping_ratio", "friction")
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class StrokeBake:
+    """One stroke as it was baked.
+
+    stroke: what synthesis is given. patch_index: (n,) int32, which of the stroke's tokens each action sample touches,
+    −1 off the surface or without force. on_surface: (n,) bool, also where the hand does not press. shares: (M,) how
+    far each token and its mechanics are known, 0–1. seed: of the carriers. key: hash of everything the signal follows
+    from; path_key: the same without force, seed and probe. facts: what a WAV says of its origin (object, material,
+    library_material, routes, height_source). confidence, warnings: of the synthesis as baked. notes: what the bake met
+    that a person should know.
+    """
+
+    stroke: StrokeInput
+    patch_index: NDArray[np.int32]
+    on_surface: NDArray[np.bool_]
+    shares: Float
+    seed: int
+    key: str
+    path_key: str
+    facts: Mapping[str, str]
+    confidence: float
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def with_force(self, force: Float, probe: str | None = None) -> StrokeBake:
+        """The same path pressed otherwise; force (n,) N at the same action samples.
+
+        Raises StrokeError where force presses on a part that the bake did not touch: nothing is known of it.
+        """
+        action = self.stroke.action
+        if force.shape != action.force.shape:
+            raise StrokeError(f"force has {len(force)} samples, the bake has {len(action.force)}.", remedy=_AGAIN)
+        fresh = (force > 0.0) & self.on_surface & (self.patch_index < 0)
+        if fresh.any():
+            at = float(np.flatnonzero(fresh)[0] / action.rate)
+            raise StrokeError(
+                f"it now presses where the bake had no contact ({at:.2f} s after its start).", remedy=_AGAIN
+            )
+        index = np.where(force > 0.0, self.patch_index, np.int32(-1))
+        pressed = replace(action, force=force, contact=index >= 0, probe=probe or action.probe)
+        return replace(self, stroke=replace(self.stroke, action=pressed), patch_index=index)
+
+    def to_bytes(self) -> bytes:
+        """Exact, compressed, without pickle; equal bakes give equal bytes."""
+        action, profile = self.stroke.action, self.stroke.profile
+        texts = {
+            "key": self.key, "path_key": self.path_key, "facts": dict(self.facts), "warnings": list(self.warnings),
+            "notes": list(self.notes), "seed": self.seed, "confidence": self.confidence, "probe": action.probe,
+        }  # fmt: skip
+        mechanics = [[getattr(each, name) for name in _MECHANICS] for each in self.stroke.mechanics]
+        arrays = {
+            "schema": np.array(SCHEMA),
+            "texts": np.frombuffer(json.dumps(texts, sort_keys=True).encode(), np.uint8),
+            "rate": np.array(action.rate),
+            "direction": _planes(action.direction),
+            "speed": _planes(action.speed),
+            "force": _planes(action.force),
+            "position": _planes(action.position),
+            "contact": action.contact,
+            "tokens": self.stroke.tokens,
+            "mechanics": np.array(mechanics, dtype=np.float64).reshape(-1, len(_MECHANICS)),
+            "token_index": self.stroke.token_index,
+            "patch_index": self.patch_index,
+            "on_surface": self.on_surface,
+            "shares": self.shares,
+        }
+        if profile is not None:
+            scale = (profile.step_m, profile.origin_m, profile.resolved_wavelength_m)
+            arrays |= {"profile_scale": np.array(scale), "profile": _planes(profile.height)}
+        packed = io.BytesIO()
+        np.savez_compressed(packed, **arrays)
+        return packed.getvalue()
+
+    @classmethod
+    def from_bytes(cls, data: bytes, *, where: str = "stored bake") -> StrokeBake:
+        """Raises FileError where data are damaged, or of another version."""
+        try:
+            with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+                schema = int(arrays["schema"])
+                if schema == SCHEMA:
+                    return _unpack({name: arrays[name] for name in arrays.files})
+        except _DAMAGE as error:
+            raise FileError(f"its stored bake is damaged ({error}).", where=where, remedy=_AGAIN) from error
+        raise FileError(f"its stored bake has format {schema}, this add-on reads {SCHEMA}.", where=where, remedy=_AGAIN)
+
+
+def stroke_bake_of(baked: BakedStroke, felt: Felt, *, key: str, path_key: str) -> StrokeBake:
+    """What to keep of a stroke that was baked and felt. key, path_key: of its job."""
+    from ..touch.feel import known_shares, signal_facts
+
+    return StrokeBake(
+        stroke=felt.stroke,
+        patch_index=baked.patch_index,
+        on_surface=baked.contacts.on_surface,
+        shares=known_shares(baked),
+        seed=felt.signal.seed,
+        key=key,
+        path_key=path_key,
+        facts=signal_facts(baked),
+        confidence=felt.confidence,
+        warnings=felt.warnings,
+        notes=baked.notes,
+    )
+
+
+def store_bake(obj: Any, bake: StrokeBake) -> None:
+    """Keep bake on a stroke's curve object. Raises SceneError for a linked object."""
+    if obj.library is not None:
+        raise SceneError(
+            f"it is linked from {obj.library.filepath} and cannot be written.",
+            where=f"stroke '{obj.name}'",
+            remedy="Make it local (Object > Relations > Make Local) to keep its bake.",
+        )
+    obj[BAKE_PROPERTY] = bake.to_bytes()
+
+
+def load_bake(obj: Any) -> StrokeBake | None:
+    """What store_bake kept, or None. Raises FileError where it is damaged."""
+    data = obj.get(BAKE_PROPERTY)
+    if data is None:
+        return None
+    where = f"stroke '{obj.name}'"
+    if not isinstance(data, bytes):
+        raise FileError("its stored bake is not a bake.", where=where, remedy=_AGAIN)
+    return StrokeBake.from_bytes(data, where=where)
+
+
+def remove_bake(obj: Any) -> None:
+    """Forget the bake of a stroke, if it has one."""
+    if BAKE_PROPERTY in obj:
+        del obj[BAKE_PROPERTY]
+
+
+_AGAIN = "Bake the stroke again."
+_DAMAGE = (
+    HnfError, ValueError, KeyError, TypeError, IndexError, EOFError, OSError, MemoryError, NotImplementedError,
+    RuntimeError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+
+
+def _planes(values: Float) -> NDArray[np.uint8]:
+    """(…) float64 → (8, …) uint8, byte by byte: signs and exponents beside each other compress, digits do not.
+    (4, …) where float32 holds the same values."""
+    short = values.astype("<f4")
+    flat = np.ascontiguousarray(short if np.array_equal(short, values) else values.astype("<f8"))
+    size = flat.dtype.itemsize
+    return np.ascontiguousarray(np.moveaxis(flat.view(np.uint8).reshape(*flat.shape, size), -1, 0))
+
+
+def _joined(planes: NDArray[np.uint8]) -> Float:
+    """The values that _planes took apart."""
+    if planes.dtype != np.uint8 or planes.ndim < 2 or planes.shape[0] not in (4, 8):
+        raise ValueError(f"an array of shape {planes.shape} is not one of byte planes")
+    whole = np.ascontiguousarray(np.moveaxis(planes, 0, -1))
+    return np.asarray(whole.view(f"<f{planes.shape[0]}")[..., 0], dtype=np.float64)
+
+
+def _unpack(arrays: Mapping[str, NDArray[Any]]) -> StrokeBake:
+    texts = json.loads(arrays["texts"].tobytes())
+    if texts["probe"] not in PROBES:
+        raise ValueError(f"unknown probe '{texts['probe']}'")
+    action = Action(
+        rate=float(arrays["rate"]),
+        direction=_joined(arrays["direction"]),
+        speed=_joined(arrays["speed"]),
+        force=_joined(arrays["force"]),
+        position=_joined(arrays["position"]),
+        contact=arrays["contact"].astype(bool),
+        probe=str(texts["probe"]),
+    )
+    count = len(action.speed)
+    tracks = (action.force, action.position, action.contact, arrays["patch_index"], arrays["on_surface"])
+    if action.direction.shape != (count, 2) or any(each.shape != (count,) for each in tracks):
+        raise ValueError("its arrays differ in length")
+    profile = None
+    if "profile" in arrays:
+        step, origin, resolved = (float(value) for value in arrays["profile_scale"])
+        profile = HeightProfile(step, origin, _joined(arrays["profile"]), resolved)
+    mechanics = tuple(
+        Mechanics(*(None if np.isnan(value) else float(value) for value in row)) for row in arrays["mechanics"]
+    )
+    tokens, index = arrays["tokens"].astype(np.float32), arrays["patch_index"].astype(np.int32)
+    if count == 0 or index.max() >= len(tokens) or arrays["shares"].shape != (len(tokens),):
+        raise ValueError("its patches and tokens do not fit together")
+    return StrokeBake(
+        stroke=StrokeInput(action, tokens, mechanics, arrays["token_index"].astype(np.int32), profile),
+        patch_index=index,
+        on_surface=arrays["on_surface"].astype(bool),
+        shares=arrays["shares"].astype(np.float64),
+        seed=int(texts["seed"]),
+        key=str(texts["key"]),
+        path_key=str(texts["path_key"]),
+        facts={str(name): str(value) for name, value in texts["facts"].items()},
+        confidence=float(texts["confidence"]),
+        warnings=tuple(str(text) for text in texts["warnings"]),
+        notes=tuple(str(text) for text in texts["notes"]),
+    )
