@@ -2,58 +2,16 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import subprocess
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 
 import build_extension
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
-CHROOT = ROOT / "tools" / "chroot_blender.sh"
+from .session import CHROOT, HERE, App, Played, play
+
 UNAVAILABLE = 3  # exit code of tools/chroot_blender.sh where this machine cannot have it
-HERE = "/hnf/tests/app"  # this folder, seen from inside
-
-
-@dataclass(frozen=True)
-class Finished:
-    """How a command in the chroot ended, and all it said."""
-
-    code: int
-    output: str
-
-
-@dataclass(frozen=True)
-class App:
-    """The installed application. share: the host's folder that is /share inside."""
-
-    share: Path
-
-    def run(self, *command: str, timeout: float = 120.0) -> Finished:
-        """Run a command inside, in the profile of this session; ended as a group when it takes too long."""
-        inside = ["env", "HOME=/share/home", "BLENDER_USER_RESOURCES=/share/profile", *command]
-        process = subprocess.Popen(
-            [str(CHROOT), "run", *inside],
-            env=os.environ | {"HNF_CHROOT_SHARE": str(self.share)},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            errors="replace",
-            start_new_session=True,
-        )
-        try:
-            output, _ = process.communicate(timeout=timeout)
-        finally:
-            if process.poll() is None:
-                os.killpg(process.pid, signal.SIGKILL)
-        return Finished(process.returncode, output)
-
-    def blender(self, *arguments: str, timeout: float = 120.0) -> Finished:
-        """Run Blender with these arguments."""
-        return self.run("blender", *arguments, timeout=timeout)
 
 
 @pytest.fixture(scope="session")
@@ -97,3 +55,16 @@ def scene(app: App) -> str:
     assert made.code == 0, made.output
     assert (app.share / "ribs.blend").is_file()
     return "/share/ribs.blend"
+
+
+@pytest.fixture(scope="session")
+def played(app: App, scene: str) -> Callable[[str], Played]:
+    """Scenario → what its one session in a window brought back; played when first asked for."""
+    known: dict[str, Played] = {}
+
+    def of(scenario: str) -> Played:
+        if scenario not in known:
+            known[scenario] = play(app, scenario)
+        return known[scenario]
+
+    return of

@@ -1,19 +1,14 @@
-"""The installed extension in a real Blender: its own commands, the command line with its exit codes, the window."""
+"""The installed extension in a real Blender: its own commands, the command line with its exit codes."""
 
 from __future__ import annotations
 
 import json
 import re
-import shutil
 from pathlib import Path
 
-import matplotlib.image
-import numpy as np
 import pytest
 
-from .conftest import HERE, ROOT, App, Finished
-
-COMPLAINTS = ("Traceback", "Error:", "Exception in module", "Segmentation fault")
+from .session import COMPLAINTS, App, Finished
 
 
 def assert_quiet(finished: Finished) -> None:
@@ -98,31 +93,3 @@ def test_help(app: App) -> None:
     finished = app.blender("-b", "--command", "hnf", "touch", "--help")
     assert finished.code == 0, finished.output
     assert "--stroke" in finished.output
-
-
-def test_the_window(app: App, scene: str) -> None:
-    """A drawn window with the extension on, photographed into build/app, and not a word of complaint."""
-    screen = "-screen 0 1280x800x24 +extension GLX +render -noreset"
-    window = ["blender", "-noaudio", "-p", "0", "0", "1280", "800", scene, "--python", f"{HERE}/drive_window.py"]
-    finished = app.run(
-        "env",
-        "LIBGL_ALWAYS_SOFTWARE=1",
-        "xvfb-run",
-        "-a",
-        "-s",
-        screen,
-        *window,
-        "--",
-        "/share/window.png",
-        timeout=180,
-    )
-    assert finished.code == 0, finished.output
-    assert_quiet(finished)
-    result = json.loads(only_line(finished, "RESULT ").removeprefix("RESULT "))
-    assert "bl_ext.user_default.hnf" in result["addons"]
-    assert (result["foreign"], result["windows"]) == ([], 1)
-    picture = matplotlib.image.imread(app.share / "window.png")[..., :3]
-    assert picture.shape == (800, 1280, 3)
-    assert len(np.unique((picture * 255).astype(np.uint8).reshape(-1, 3), axis=0)) > 200  # a black screen has one
-    (ROOT / "build" / "app").mkdir(parents=True, exist_ok=True)
-    shutil.copy2(app.share / "window.png", ROOT / "build" / "app" / "window.png")
