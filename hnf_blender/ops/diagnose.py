@@ -1,0 +1,147 @@
+"""Everything that a person who helps from afar asks for first, in one text."""
+
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
+import importlib.metadata
+import platform
+import sys
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy
+
+from hnf_core import __version__
+from hnf_core.errors import HnfError
+from hnf_core.field.weights import load_field
+from hnf_core.material.token import ENCODER_ID
+
+from ..state.folders import cache_folder
+from ..state.session import STATE
+from ..translations import tr
+
+PACKAGES = ("OpenEXR", "embreex", "safetensors", "matplotlib")
+
+
+def versions() -> tuple[tuple[str, str], ...]:
+    """What is known without looking anywhere: for the panel, at every draw."""
+    return (
+        ("Add-on", __version__),
+        ("Blender", bpy.app.version_string),
+        ("Python", platform.python_version()),
+        ("numpy", numpy.__version__),
+    )
+
+
+def collect() -> tuple[tuple[str, str], ...]:
+    """Versions, identities, paths and the last error. Reads the weights and looks through folders; never raises."""
+    cache = cache_folder()
+    rows = [
+        *versions(),
+        ("System", f"{platform.system()} {platform.release()} {platform.machine()}"),
+        *((package, _version_of(package)) for package in PACKAGES),
+        ("Field", _field_identity()),
+        ("Encoder", ENCODER_ID),
+        ("Blender file", bpy.data.filepath or "not saved"),
+        ("Blender program", bpy.app.binary_path or sys.executable),
+        ("Add-on folder", str(Path(__file__).resolve().parents[1])),
+        ("Cache folder", str(cache)),
+        ("Cache size", byte_text(folder_bytes(cache))),
+    ]
+    if STATE.last_job is not None:
+        outcome = "done" if STATE.last_job.ok else "failed"
+        rows.append(("Last job", f"{outcome}: {STATE.last_job.message}"))
+        rows += [("", detail) for detail in STATE.last_job.details]
+    return tuple(rows)
+
+
+def as_text(rows: tuple[tuple[str, str], ...]) -> str:
+    """The rows for the clipboard, aligned."""
+    width = max((len(name) for name, _ in rows), default=0)
+    return "\n".join(f"{name:<{width}}  {value}" for name, value in rows) + "\n"
+
+
+def folder_bytes(folder: Path) -> int:
+    """Bytes of all files below; 0 where there is no folder."""
+    total = 0
+    for path in folder.rglob("*"):
+        try:
+            total += path.stat().st_size if path.is_file() else 0
+        except OSError:  # removed meanwhile
+            continue
+    return total
+
+
+def byte_text(count: int) -> str:
+    """1234 → "1.2 kB", as Blender writes sizes (decimal)."""
+    if count < 1000:
+        return f"{count} B"
+    for unit, size in (("kB", 1e3), ("MB", 1e6), ("GB", 1e9)):
+        if count < 999.5 * size or unit == "GB":
+            return f"{count / size:.3g} {unit}"
+    raise AssertionError("unreachable")
+
+
+def _version_of(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"
+
+
+def _field_identity() -> str:
+    try:
+        return load_field().identity
+    except HnfError as error:
+        return str(error)
+
+
+class HNF_OT_diagnose(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types, Blender's naming
+    bl_idname = "hnf.diagnose"
+    bl_label = "Look Closer"
+    bl_description = "Collect versions, paths, sizes and the last error, and show them here"
+    bl_options = {"REGISTER"}  # noqa: RUF012  # Blender reads a set
+
+    def execute(self, _context: Any) -> set[str]:
+        STATE.diagnosis = collect()
+        return {"FINISHED"}
+
+
+class HNF_OT_diagnose_copy(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.diagnose_copy"
+    bl_label = "Copy Report"
+    bl_description = "Collect versions, paths, sizes and the last error, and put them on the clipboard"
+    bl_options = {"REGISTER"}  # noqa: RUF012
+
+    def execute(self, context: Any) -> set[str]:
+        STATE.diagnosis = collect()
+        context.window_manager.clipboard = as_text(STATE.diagnosis)
+        self.report({"INFO"}, tr("Report copied: paste it where you ask for help"))
+        return {"FINISHED"}
+
+
+class HNF_OT_cache_clear(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.cache_clear"
+    bl_label = "Clear Cache"
+    bl_description = "Delete the close-up renders kept from earlier bakes. Costs nothing but time at the next bake"
+    bl_options = {"REGISTER"}  # noqa: RUF012
+
+    @classmethod
+    def poll(cls, _context: Any) -> bool:
+        if STATE.job is not None:
+            cls.poll_message_set("A bake is running and uses the cache")
+            return False
+        return True
+
+    def execute(self, _context: Any) -> set[str]:
+        folder = cache_folder()
+        freed = folder_bytes(folder)
+        for path in folder.rglob("*"):
+            if path.is_file():
+                path.unlink(missing_ok=True)
+        STATE.diagnosis = collect() if STATE.diagnosis else ()
+        self.report({"INFO"}, tr("{size} freed").format(size=byte_text(freed)))
+        return {"FINISHED"}
+
+
+CLASSES = (HNF_OT_diagnose, HNF_OT_diagnose_copy, HNF_OT_cache_clear)

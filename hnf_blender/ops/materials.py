@@ -1,0 +1,188 @@
+"""What a Blender material feels like: suggestions, the artist's own choice, and back to automatic."""
+
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
+from typing import Any
+
+import bpy
+
+from hnf_core.errors import HnfError
+from hnf_core.material.library import load_library
+from hnf_core.material.prior import rank
+
+from ..bridge.shader_values import stated_appearance
+from ..props.scene import active_stroke
+from ..state.session import STATE
+from ..translations import tr
+
+UNDOABLE = {"REGISTER", "UNDO"}
+
+
+def library_items() -> list[tuple[str, str, str]]:
+    """The library as a list to search, grouped by category: "Wood ▸ Oak wood"."""
+    shown = sorted((material.category, material.name, material.words) for material in load_library())
+    return [
+        (name, f"{category.capitalize()} ▸ {spoken(name)}", "Also found as: " + ", ".join(words))
+        for category, name, words in shown
+    ]
+
+
+def spoken(name: str) -> str:
+    """A library name for people: "oak-wood" → "Oak wood"."""
+    return name.replace("-", " ").capitalize()
+
+
+LIBRARY = library_items()
+
+
+def felt_object(context: Any) -> Any:
+    """The object whose materials are meant, or None: the active mesh, else the surface of the active stroke."""
+    active = context.view_layer.objects.active
+    if active is not None and active.type == "MESH":
+        return active
+    stroke = active_stroke(context)
+    if stroke is None:
+        return None
+    if stroke.hnf_stroke.surface is not None:
+        return stroke.hnf_stroke.surface
+    status = STATE.strokes.get(stroke.name)
+    return None if status is None else context.scene.objects.get(status.object_name)
+
+
+def materials_of(obj: Any) -> list[Any]:
+    """The materials in the object's slots, each once."""
+    found = {slot.material.name: slot.material for slot in obj.material_slots if slot.material is not None}
+    return list(found.values())
+
+
+class HNF_OT_suggest(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types, Blender's naming
+    bl_idname = "hnf.suggest"
+    bl_label = "Suggest Materials"
+    bl_description = "Rank the library by the names and shader values of this object's materials. Renders nothing"
+    bl_options = {"REGISTER"}  # noqa: RUF012  # Blender reads a set
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        obj = felt_object(context)
+        if obj is None:
+            cls.poll_message_set("Select a mesh, or a stroke that has a surface")
+        elif not materials_of(obj):
+            cls.poll_message_set("This object has no material to judge by")
+        else:
+            return True
+        return False
+
+    def execute(self, context: Any) -> set[str]:
+        obj = felt_object(context)
+        try:
+            for material in materials_of(obj):
+                names = [material.name, obj.name, obj.data.name]
+                STATE.suggestions[material.name] = rank(load_library(), stated_appearance(material), names)
+        except HnfError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+class HNF_OT_material_choose(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.material_choose"
+    bl_label = "Choose What It Feels Like"
+    bl_description = "Decide what this material feels like. The choice is locked: no bake overwrites it"
+    bl_options = UNDOABLE
+    bl_property = "name"
+
+    material: bpy.props.StringProperty(name="Material", description="Name of the Blender material", options={"HIDDEN"})
+    name: bpy.props.EnumProperty(name="Feels like", description="Material of the library", items=LIBRARY)
+
+    def invoke(self, context: Any, _event: Any) -> set[str]:
+        if self.properties.is_property_set("name"):
+            return self.execute(context)
+        context.window_manager.invoke_search_popup(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, _context: Any) -> set[str]:
+        return _write(self, self.material, self.name)
+
+
+class HNF_OT_material_auto(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.material_auto"
+    bl_label = "Back to Automatic"
+    bl_description = "Forget the choice made by hand: how the material looks decides again"
+    bl_options = UNDOABLE
+
+    material: bpy.props.StringProperty(name="Material", description="Name of the Blender material", options={"HIDDEN"})
+
+    def execute(self, _context: Any) -> set[str]:
+        return _write(self, self.material, "")
+
+
+class HNF_OT_stroke_material(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.stroke_material"
+    bl_label = "Choose for This Stroke"
+    bl_description = "Decide what this one stroke feels, whatever its surface looks like"
+    bl_options = UNDOABLE
+    bl_property = "name"
+
+    name: bpy.props.EnumProperty(name="Feels like", description="Material of the library", items=LIBRARY)
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return _stroke_meant(cls, context)
+
+    def invoke(self, context: Any, _event: Any) -> set[str]:
+        context.window_manager.invoke_search_popup(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: Any) -> set[str]:
+        active_stroke(context).hnf_stroke.material = self.name
+        return {"FINISHED"}
+
+
+class HNF_OT_stroke_material_auto(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.stroke_material_auto"
+    bl_label = "Feel What Is There"
+    bl_description = "Forget the stroke's own material: it feels what its surface is made of"
+    bl_options = UNDOABLE
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return _stroke_meant(cls, context)
+
+    def execute(self, context: Any) -> set[str]:
+        active_stroke(context).hnf_stroke.material = ""
+        return {"FINISHED"}
+
+
+def _stroke_meant(cls: Any, context: Any) -> bool:
+    if active_stroke(context) is None:
+        cls.poll_message_set("Draw, add or select a stroke first")
+        return False
+    return True
+
+
+def _write(operator: Any, material_name: str, library_name: str) -> set[str]:
+    material = bpy.data.materials.get(material_name)
+    if material is None:
+        operator.report({"ERROR"}, tr("There is no material '{name}' in this file").format(name=material_name))
+        return {"CANCELLED"}
+    if not material.is_editable:
+        operator.report(
+            {"ERROR"},
+            tr("Material '{name}' is linked from another file. Make it local or a library override").format(
+                name=material_name
+            ),
+        )
+        return {"CANCELLED"}
+    material.hnf_touch.library = library_name
+    material.update_tag()
+    STATE.dirty.add(material.name)
+    return {"FINISHED"}
+
+
+CLASSES = (
+    HNF_OT_suggest,
+    HNF_OT_material_choose,
+    HNF_OT_material_auto,
+    HNF_OT_stroke_material,
+    HNF_OT_stroke_material_auto,
+)

@@ -1,0 +1,20 @@
+"""Where the add-on keeps what it can make again."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+PACKAGE = (__package__ or "hnf_blender.state").removesuffix(".state")
+
+
+def cache_folder() -> Path:
+    """Close-ups of earlier bakes, named by content. Made where it is missing; survives upgrades of an extension."""
+    import bpy
+
+    if PACKAGE.startswith("bl_ext."):
+        return Path(bpy.utils.extension_path_user(PACKAGE, path="cache", create=True))
+    data = bpy.utils.user_resource("DATAFILES", path="hnf/cache", create=True)
+    folder = Path(data) if data else Path(tempfile.gettempdir()) / "hnf-cache"
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
