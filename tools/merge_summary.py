@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,6 +63,12 @@ def read_seconds(path: Path) -> float:
     return sum(float(suite.get("time") or 0.0) for suite in ElementTree.parse(path).iter("testsuite"))
 
 
+def read_properties(path: Path) -> list[str]:
+    """`NAME: property value` for what a JUnit file says of itself as a whole, such as the Blender it drove."""
+    found = ElementTree.parse(path).iterfind("./testsuite/properties/property")
+    return [f"{path.stem}: {one.get('name', '')} {one.get('value', '')}" for one in found]
+
+
 def totals_line(cases: list[Case], seconds: float) -> str:
     """`==== 1 failed, 2 passed, 3 skipped in 4.00s ====`, the words and their order as pytest has them."""
     count = Counter(case.outcome for case in cases)
@@ -72,9 +79,9 @@ def totals_line(cases: list[Case], seconds: float) -> str:
     return f"==== {', '.join(words) or 'no tests ran'} in {seconds:.2f}s ===="
 
 
-def summary(cases: list[Case], seconds: float) -> str:
-    """Skipped tests grouped by reason, every failed one by name, and the totals last."""
-    lines = ["==== merged summary ===="]
+def summary(cases: list[Case], seconds: float, properties: Iterable[str] = ()) -> str:
+    """What the files say of themselves, skipped tests grouped by reason, every failed one by name, the totals last."""
+    lines = ["==== merged summary ====", *properties]
     skipped = Counter((case.environment, case.reason) for case in cases if case.outcome == "skipped")
     lines += [f"SKIPPED [{n}] {environment}: {reason}" for (environment, reason), n in sorted(skipped.items())]
     for word in ("failed", "error"):
@@ -95,13 +102,15 @@ def main(arguments: list[str]) -> int:
     """Print the merged summary of the files; 1 where something failed, was unreadable or nothing ran."""
     cases: list[Case] = []
     seconds = 0.0
+    properties: list[str] = []
     for path in map(Path, arguments):
         try:
             cases += read_cases(path)
             seconds += read_seconds(path)
+            properties += read_properties(path)
         except (OSError, ElementTree.ParseError) as error:
             cases.append(Case(path.stem, str(path), "error", f"no readable result: {error}"))
-    print(summary(cases, seconds))
+    print(summary(cases, seconds, properties))
     return int(has_failed(cases))
 
 

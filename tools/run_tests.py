@@ -159,7 +159,9 @@ def main(names: list[str]) -> int:
             if len(shown) > SHOWN_LINES:
                 print(f"… {len(shown) - SHOWN_LINES} lines before this in build/test/{check.name}.log")
             print("\n".join(shown[-SHOWN_LINES:]), flush=True)
-    print("\n" + merge_summary.summary(cases, time.monotonic() - started), flush=True)
+    files = sorted(path for check in checks for path in RESULTS.glob(f"{check.name}.xml"))
+    properties = [line for path in files for line in merge_summary.read_properties(path)]
+    print("\n" + merge_summary.summary(cases, time.monotonic() - started, properties), flush=True)
     return int(merge_summary.has_failed(cases))
 
 

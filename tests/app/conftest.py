@@ -57,14 +57,28 @@ def scene(app: App) -> str:
     return "/share/ribs.blend"
 
 
+PLAYED: dict[str, Played] = {}
+
+
 @pytest.fixture(scope="session")
-def played(app: App, scene: str) -> Callable[[str], Played]:
+def played(app: App, scene: str, record_testsuite_property: Callable[[str, object], None]) -> Callable[[str], Played]:
     """Scenario → what its one session in a window brought back; played when first asked for."""
-    known: dict[str, Played] = {}
 
     def of(scenario: str) -> Played:
-        if scenario not in known:
-            known[scenario] = play(app, scenario)
-        return known[scenario]
+        if scenario not in PLAYED:
+            PLAYED[scenario] = play(app, scenario)
+            if len(PLAYED) == 1:
+                record_testsuite_property("blender", PLAYED[scenario].version)
+        return PLAYED[scenario]
 
     return of
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Which Blender it was, and the figures that the scenarios measured."""
+    versions = sorted({played.version for played in PLAYED.values()})
+    if PLAYED:
+        terminalreporter.write_line(f"Blender {', '.join(versions)} in a window: {len(PLAYED)} sessions")
+    for played in PLAYED.values():
+        for one in played.measured:
+            terminalreporter.write_line(f"  {played.scenario}: {one['what']}: {one['value']:g} {one['unit']}")

@@ -126,7 +126,8 @@ class Played:
 
     def assert_quiet(self) -> None:
         """Blender came to a good end and printed no complaint of its own or of any add-on."""
-        assert self.finished.code == 0 and self.whole, f"code {self.finished.code}:\n{self.tail()}"
+        assert self.whole, f"it did not come to its end:\n{self.tail()}"
+        assert self.finished.code == 0, f"code {self.finished.code}:\n{self.tail()}"
         lines = self.finished.output.splitlines()
         bad = [i for i, line in enumerate(lines) if any(word in line for word in COMPLAINTS)]
         assert not bad, "\n".join(lines[max(0, bad[0] - 3) : bad[0] + 25])

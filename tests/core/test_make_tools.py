@@ -142,3 +142,14 @@ def test_an_environment_of_another_kind_is_never_deleted(tmp_path: Path) -> None
     with pytest.raises(setup_env.SetupError, match="is no Python environment"):
         setup_env.ensure_interpreter(tmp_path)
     assert (tmp_path / "precious").read_text() == "mine"
+
+
+def test_what_a_file_says_of_itself_comes_before_the_totals(tmp_path: Path) -> None:
+    path = tmp_path / "app.xml"
+    path.write_text(
+        '<testsuites><testsuite time="1.5"><properties><property name="blender" value="5.2.2 LTS"/></properties>'
+        '<testcase classname="a" name="b"/></testsuite></testsuites>',
+        encoding="utf-8",
+    )
+    lines = merge_summary.summary(merge_summary.read_cases(path), 1.5, merge_summary.read_properties(path)).splitlines()
+    assert lines[1:] == ["app: blender 5.2.2 LTS", "==== 1 passed in 1.50s ===="]

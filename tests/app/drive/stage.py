@@ -18,7 +18,7 @@ PRINTED = {"SPACE": " ", "PERIOD": ".", "MINUS": "-"} | dict(
 )
 
 
-class Missed(Exception):
+class MissedError(Exception):
     """What was waited for or required did not come."""
 
 
@@ -41,14 +41,14 @@ class Stage:
         """As expect, but the check ends here where it is not so."""
         self.expect(what, truth, detail)
         if not truth:
-            raise Missed(f"{what}: {detail}")
+            raise MissedError(f"{what}: {detail}")
 
     def measured(self, what: str, value: float, unit: str) -> None:
         """A figure for the report; nothing depends on it."""
         self._record.write("measured", what=what, value=round(value, 4), unit=unit)
 
     def until(self, what: str, predicate: Callable[[], object], seconds: float = 20.0) -> Waits:
-        """Let Blender run until predicate() holds; Missed after some seconds."""
+        """Let Blender run until predicate() holds; MissedError after some seconds."""
         deadline = time.monotonic() + seconds
         while not predicate():
             if time.monotonic() > deadline:
@@ -78,10 +78,10 @@ class Stage:
         return [area for window in bpy.context.window_manager.windows for area in window.screen.areas]
 
     def area(self, kind: str = "VIEW_3D", window: int = 0):
-        """The largest area of this kind. Missed where there is none."""
+        """The largest area of this kind. MissedError where there is none."""
         found = [area for area in self.window(window).screen.areas if area.type == kind]
         if not found:
-            raise Missed(f"no {kind} area")
+            raise MissedError(f"no {kind} area")
         return max(found, key=lambda area: area.width * area.height)
 
     def region(self, kind: str = "WINDOW", area: str = "VIEW_3D", window: int = 0):
@@ -94,11 +94,11 @@ class Stage:
         )
 
     def seen_at(self, point: Sequence[float]) -> Point:
-        """Where a place of the scene is drawn, in pixels of the window. Missed where it is behind the eye."""
+        """Where a place of the scene is drawn, in pixels of the window. MissedError where it is behind the eye."""
         region = self.region()
         place = location_3d_to_region_2d(region, self.area().spaces.active.region_3d, point)
         if place is None:
-            raise Missed(f"{tuple(point)} is not in view")
+            raise MissedError(f"{tuple(point)} is not in view")
         return region.x + round(place.x), region.y + round(place.y)
 
     def middle(self, area: str = "VIEW_3D", region: str = "WINDOW") -> Point:

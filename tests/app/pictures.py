@@ -1,0 +1,62 @@
+"""Take the documentation's pictures of the real thing from the last run of the windowed tests.
+
+    make test-app && .venv/bin/python tests/app/pictures.py [NAME…]
+
+Each picture of docs/images/ui is a cut of one screen that a scenario photographed; look at it before committing it.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from PIL import Image
+
+ROOT = Path(__file__).resolve().parents[2]
+TAKEN = ROOT / "build" / "app"
+SHOWN = ROOT / "docs" / "images" / "ui"
+LARGEST_BYTES = 200_000
+COLOURS = 255
+
+
+@dataclass(frozen=True)
+class Cut:
+    """source: SCENARIO/PICTURE below build/app. box: left, top, right, bottom [pixels]; None: the whole screen."""
+
+    source: str
+    box: tuple[int, int, int, int] | None = None
+
+
+CHOSEN: dict[str, Cut] = {}
+"""Name in docs/images/ui → where it comes from."""
+
+
+def cut(name: str) -> Path:
+    """Write docs/images/ui/NAME.png. Raises FileNotFoundError before the scenario was played, ValueError if too big."""
+    chosen = CHOSEN[name]
+    with Image.open(TAKEN / f"{chosen.source}.png") as screen:
+        picture = screen.convert("RGB").crop(chosen.box or (0, 0, *screen.size))
+    SHOWN.mkdir(parents=True, exist_ok=True)
+    path = SHOWN / f"{name}.png"
+    # A user interface has few colours: a palette without dithering keeps letters sharp at a third of the size.
+    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
+    if path.stat().st_size > LARGEST_BYTES:
+        raise ValueError(f"{path} has {path.stat().st_size} bytes, more than {LARGEST_BYTES}. Cut it smaller.")
+    return path
+
+
+def main(names: list[str]) -> int:
+    """Cut the pictures of these names, or all; 2 for a name that is none."""
+    unknown = [name for name in names if name not in CHOSEN]
+    if unknown:
+        print(f"No picture is called {', '.join(unknown)}. There are: {', '.join(CHOSEN)}.", file=sys.stderr)
+        return 2
+    for name in names or CHOSEN:
+        path = cut(name)
+        print(f"{path.relative_to(ROOT)}  {path.stat().st_size // 1000} kB")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
