@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from types import ModuleType
 
-MODULES = ("materials", "diagnose")
+MODULES = ("materials", "diagnose", "drop")
 """Sub-modules, each with a tuple CLASSES."""
 
 _loaded: list[ModuleType] = []

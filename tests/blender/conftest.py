@@ -16,6 +16,15 @@ def stroke_properties() -> None:
         props.register()
 
 
+@pytest.fixture(scope="session")
+def operators(stroke_properties: None) -> None:
+    """The add-on's operators, for tests that press its buttons."""
+    from hnf_blender import ops
+
+    if not hasattr(bpy.types, "HNF_OT_import_material"):
+        ops.register()
+
+
 @pytest.fixture(autouse=True)
 def empty_file() -> None:
     bpy.ops.wm.read_factory_settings(use_empty=True)

@@ -1,0 +1,98 @@
+"""A Blender material that carries its own `.hnf` definition: what it feels like is said by the material itself.
+
+The bytes of the file lie in an ID property, so that the .blend needs no file beside it. A library material chosen by
+hand (Material.hnf_touch.library) goes before the definition; back to automatic forgets both.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hnf_core.errors import SceneError
+from hnf_core.material.hnf_file import MaterialFile, parse_hnf
+from hnf_core.material.material import Appearance
+
+from .. import compat
+
+PROPERTY = "hnf_material"
+INPUTS = {
+    "base_color": "Base Color",
+    "roughness": "Roughness",
+    "metallic": "Metallic",
+    "sheen": "Sheen Weight",
+    "transmission": "Transmission Weight",
+}
+"""Shading value → input of the Principled BSDF."""
+
+
+def carry(material: Any, definition: MaterialFile) -> None:
+    """Make definition what material feels like, in place of a choice made before. Raises SceneError where material is
+    linked from another file."""
+    if not material.is_editable:
+        raise SceneError(
+            "it is linked from another file.",
+            where=f"material '{material.name}'",
+            remedy="Make it local or a library override.",
+        )
+    material[PROPERTY] = definition.to_bytes()
+    material.hnf_touch.library = ""
+    material.update_tag()
+
+
+def carried(material: Any) -> MaterialFile | None:
+    """The definition that material carries, or None. Raises FileError, naming the material, where it is damaged or
+    belongs to another encoder."""
+    data = material.get(PROPERTY)
+    if data is None:
+        return None
+    return parse_hnf(data if isinstance(data, bytes) else b"", f"material '{material.name}'")
+
+
+def forget(material: Any) -> None:
+    """Take the definition off again."""
+    if PROPERTY in material:
+        del material[PROPERTY]
+
+
+def give(obj: Any, slot: int, definition: MaterialFile) -> Any:
+    """Make definition what a slot of obj feels like; its Blender material. An empty slot, or an object without slots,
+    gets a new material that looks like it too. Raises SceneError where the object or its material is linked."""
+    slots = obj.material_slots
+    held = slots[slot].material if slot < len(slots) else None
+    if held is not None:
+        carry(held, definition)
+        return held
+    if not obj.is_editable or (slot >= len(slots) and not obj.data.is_editable):
+        raise SceneError(
+            "it is linked from another file.", where=f"object '{obj.name}'", remedy="Make it a library override first."
+        )
+    made = new_material(definition)
+    if slot < len(slots):
+        slots[slot].material = made
+    else:
+        obj.data.materials.append(made)
+    return made
+
+
+def new_material(definition: MaterialFile) -> Any:
+    """A Blender material that looks and feels like definition."""
+    import bpy
+
+    material = bpy.data.materials.new(definition.name)
+    give_look(material, definition.appearance)
+    carry(material, definition)
+    return material
+
+
+def give_look(material: Any, appearance: Appearance) -> None:
+    """Set the known shading values on the material's Principled BSDF, and the viewport's colour."""
+    compat.switch_nodes_on(material)
+    shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+    for name, socket in INPUTS.items():
+        value = getattr(appearance, name)
+        if value is not None:
+            shader.inputs[socket].default_value = (*value, 1.0) if name == "base_color" else value
+    if appearance.base_color is not None:
+        material.diffuse_color = (*appearance.base_color, 1.0)
+    material.roughness = 0.5 if appearance.roughness is None else appearance.roughness
+    material.metallic = 0.0 if appearance.metallic is None else appearance.metallic
