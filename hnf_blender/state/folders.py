@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-PACKAGE = (__package__ or "hnf_blender.state").removesuffix(".state")
+PACKAGE = __name__.rsplit(".", 2)[0]
 
 
 def cache_folder() -> Path:
