@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from hnf_core.action.bezier import smooth_curve, smooth_handles
 from hnf_core.action.curves import by_arc_length
-from hnf_core.action.keys import Keys
 from hnf_core.action.placing import MARGIN, OPENNESS_M, Spot, fits, in_space, lay, spots
 from hnf_core.action.primitives import (
     DEFAULT_DOWN,
@@ -25,9 +24,9 @@ from hnf_core.action.primitives import (
 from hnf_core.errors import SceneError
 from hnf_core.scene.raycast import Hits, RayCaster
 
-from .. import compat
 from .boxes import is_visible, world_box
 from .meshes import Surface, ray_caster, surface_mesh
+from .new_stroke import bezier_object, insert_keys
 
 Float = NDArray[np.float64]
 Surfaces = Callable[[Any], Surface]
@@ -37,7 +36,6 @@ KNOT_M = 2e-3
 TRIED = 400
 UNDERSIDE_COSINE = -0.5
 """Faces that look further down than this are undersides."""
-MIN_KEY_FRAMES = 0.05
 
 
 @dataclass(frozen=True)
@@ -151,7 +149,7 @@ def place_primitive(
     progress, force, _ = primitive_keys(chosen, distance)
     per_second = float(scene.render.fps) / float(scene.render.fps_base)
     for channel, keys in (("progress", progress), ("force", force)):
-        _insert_keys(stroke, channel, keys, start_frame, per_second)
+        insert_keys(stroke, channel, keys, start_frame, per_second)
     depsgraph.update()  # so that the stroke can be read at once
     return Placed(stroke, chosen.name, spot.size_m, caster.rays + above.rays)
 
@@ -279,50 +277,9 @@ class _Neighbours:
 
 def _curve_object(name: str, points: Float, cyclic: bool, obj: Any, surface: Surface, scene: Any) -> Any:
     """A Bézier curve through surface-frame points (k, 3), as a child of obj."""
-    import bpy
-
     left, right = smooth_handles(points, cyclic=cyclic)
     to_object = np.linalg.pinv(surface.stretch)
-    curve = bpy.data.curves.new(name, "CURVE")
-    curve.dimensions = "3D"
-    spline = curve.splines.new("BEZIER")
-    spline.bezier_points.add(len(points) - 1)
-    spline.use_cyclic_u = cyclic
-    for kind in ("handle_left_type", "handle_right_type"):
-        for point in spline.bezier_points:
-            setattr(point, kind, "FREE")
-    for attribute, values in (("co", points), ("handle_left", left), ("handle_right", right)):
-        flat = np.ascontiguousarray(values @ to_object.T, dtype=np.float32).ravel()
-        spline.bezier_points.foreach_set(attribute, flat)
-    for kind in ("handle_left_type", "handle_right_type"):
-        for point in spline.bezier_points:
-            setattr(point, kind, "ALIGNED")
-    stroke = bpy.data.objects.new(name, curve)
+    stroke = bezier_object(name, *(values @ to_object.T for values in (points, left, right)), cyclic=cyclic)
     scene.collection.objects.link(stroke)
     stroke.parent = obj
     return stroke
-
-
-def _insert_keys(stroke: Any, name: str, keys: Keys, start: float, per_second: float) -> None:
-    """Keyframes whose handles lie a third of the way: the F-curve is then exactly the keys' cubic."""
-    path = f"hnf_stroke.{name}"
-    frames = start + keys.time * per_second
-    keep = [0]
-    for i in range(1, len(frames)):
-        if frames[i] - frames[keep[-1]] >= MIN_KEY_FRAMES:
-            keep.append(i)
-    if keep[-1] != len(frames) - 1:
-        keep[-1] = len(frames) - 1
-    for i in keep:
-        setattr(stroke.hnf_stroke, name, float(keys.value[i]))
-        stroke.keyframe_insert(path, frame=float(frames[i]))
-    fcurve = next(curve for curve in compat.fcurves_of(stroke) if curve.data_path == path)
-    frame, value, slope = frames[keep], keys.value[keep], keys.slope[keep] / per_second
-    width = np.diff(frame) / 3.0
-    before, after = np.r_[width[:1], width], np.r_[width, width[-1:]]
-    for k, point in enumerate(fcurve.keyframe_points):
-        point.interpolation = "BEZIER"
-        point.handle_left_type = point.handle_right_type = "FREE"
-        point.handle_left = (frame[k] - before[k], value[k] - slope[k] * before[k])
-        point.handle_right = (frame[k] + after[k], value[k] + slope[k] * after[k])
-    fcurve.update()

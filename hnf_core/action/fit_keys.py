@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -30,9 +32,7 @@ def fit_keys(time: ArrayLike, value: ArrayLike, tolerance: float, *, rising: boo
         if error.max() <= tolerance or chosen.all():
             return keys
         borders = np.flatnonzero(chosen)
-        worst = [
-            a + 1 + int(np.argmax(error[a + 1 : b])) for a, b in zip(borders, borders[1:], strict=False) if b > a + 1
-        ]
+        worst = [a + 1 + int(np.argmax(error[a + 1 : b])) for a, b in itertools.pairwise(borders) if b > a + 1]
         chosen[[k for k in worst if error[k] > tolerance]] = True
 
 
