@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from .german import GERMAN
 
-OWNER = __package__ or "hnf_blender.translations"
+OWNER = __name__
 CONTEXTS = ("*", "Operator")
 """Blender asks for the names of operators in a context of their own."""
 
