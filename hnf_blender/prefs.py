@@ -46,6 +46,9 @@ class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy h
         layout.prop(self, "overlay")
         layout.prop(self, "default_probe")
         draw_cache(layout, STATE)
+        row = layout.row(heading="Asset library")
+        row.operator("hnf.assets_add", text="Add")
+        row.operator("hnf.assets_remove", text="Remove")
         layout.label(text="No torch needed: drawing, baking, preview and export run in Blender as it is", icon="INFO")
 
 

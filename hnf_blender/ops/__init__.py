@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from types import ModuleType
 
-MODULES = ("materials", "diagnose", "drop")
+MODULES = ("materials", "diagnose", "drop", "assets")
 """Sub-modules, each with a tuple CLASSES."""
 
 _loaded: list[ModuleType] = []

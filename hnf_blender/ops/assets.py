@@ -1,0 +1,69 @@
+"""The asset library that comes with the add-on: offered, never put into the preferences without being asked."""
+
+# No `from __future__ import annotations`: Blender reads class attributes as values.
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+FOLDER = Path(__file__).resolve().parents[1] / "assets"
+NAME = "Haptic Neural Fields"
+
+
+def asset_library(context: Any) -> Any:
+    """The preferences' entry that points to the add-on's assets, or None."""
+    libraries = context.preferences.filepaths.asset_libraries
+    return next((library for library in libraries if _same(library.path, FOLDER)), None)
+
+
+class HNF_OT_assets_add(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types, Blender's naming
+    bl_idname = "hnf.assets_add"
+    bl_label = "Add Asset Library"
+    bl_description = (
+        "Show ready materials and strokes in the asset browser: puts the add-on's folder in the preferences"
+    )
+    bl_options = {"REGISTER"}  # noqa: RUF012  # Blender reads a set
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        if not FOLDER.is_dir():
+            cls.poll_message_set("This build of the add-on has no assets. Install the zip from its releases")
+        elif asset_library(context) is not None:
+            cls.poll_message_set("The asset library is in the preferences already")
+        else:
+            return True
+        return False
+
+    def execute(self, context: Any) -> set[str]:
+        library = context.preferences.filepaths.asset_libraries.new(name=NAME, directory=str(FOLDER))
+        library.import_method = "APPEND"  # strokes and choices are there to be edited
+        context.preferences.is_dirty = True
+        self.report({"INFO"}, f"{library.name}: {FOLDER}")
+        return {"FINISHED"}
+
+
+class HNF_OT_assets_remove(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.assets_remove"
+    bl_label = "Remove Asset Library"
+    bl_description = "Take the add-on's folder out of the preferences again. What you have used in your files stays"
+    bl_options = {"REGISTER"}  # noqa: RUF012
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        if asset_library(context) is None:
+            cls.poll_message_set("The asset library is not in the preferences")
+            return False
+        return True
+
+    def execute(self, context: Any) -> set[str]:
+        context.preferences.filepaths.asset_libraries.remove(asset_library(context))
+        context.preferences.is_dirty = True
+        return {"FINISHED"}
+
+
+def _same(path: str, folder: Path) -> bool:
+    return bool(path) and Path(bpy.path.abspath(path)).resolve() == folder
+
+
+CLASSES = (HNF_OT_assets_add, HNF_OT_assets_remove)

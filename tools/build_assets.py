@@ -1,0 +1,202 @@
+"""Build hnf_blender/assets: materials that look and feel like what they are called, and the eight strokes as presets.
+
+    .venv-4.2/bin/python tools/build_assets.py [--out hnf_blender/assets]
+
+Run it with the oldest Blender supported: later ones read its files, it does not read theirs. Blender's files hold
+memory addresses, so two builds differ in bytes and agree in `contents`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import uuid
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path[:0] = [str(ROOT), str(ROOT / "tools")]
+
+from asset_previews import material_preview, stroke_preview  # noqa: E402
+
+from hnf_blender import props  # noqa: E402
+from hnf_blender.bridge.own_material import give_look  # noqa: E402
+from hnf_blender.bridge.placement import place_primitive  # noqa: E402
+from hnf_core.action.primitives import PRIMITIVES, Primitive, primitive_path  # noqa: E402
+from hnf_core.files import write_text  # noqa: E402
+from hnf_core.material.library import load_library  # noqa: E402
+from hnf_core.material.material import LibraryMaterial  # noqa: E402
+
+FOLDER = ROOT / "hnf_blender" / "assets"
+MATERIALS, STROKES, CATALOGS = "touch_materials.blend", "touch_strokes.blend", "blender_assets.cats.txt"
+NAMESPACE = uuid.UUID("5d0c4c7e-6c0e-4f6a-9a55-0f6b1f2a9c11")
+AUTHOR, LICENCE = "The Haptic Neural Fields authors", "GPL-3.0-or-later"
+PLATE_M = 0.1
+STROKE_CATALOG = "Touch/Strokes"
+
+
+def material_catalog(category: str) -> str:
+    return f"Touch/Materials/{category.capitalize()}"
+
+
+def catalog_id(path: str) -> str:
+    """The same for the same path in every build: asset browsers remember catalogs by it."""
+    return str(uuid.uuid5(NAMESPACE, path))
+
+
+def catalogs_text() -> str:
+    """blender_assets.cats.txt."""
+    leaves = {material_catalog(material.category) for material in load_library()} | {STROKE_CATALOG}
+    paths = leaves | {"Touch", "Touch/Materials"}
+    lines = [f"{catalog_id(path)}:{path}:{path.replace('/', '-')}" for path in sorted(paths)]
+    return "\n".join(
+        ["# Catalogs of the asset library. tools/build_assets.py writes it.", "", "VERSION 1", "", *lines, ""]
+    )
+
+
+def spoken(name: str) -> str:
+    """`oak-wood` → `Oak wood`."""
+    return name.replace("-", " ").capitalize()
+
+
+def build_material(material: LibraryMaterial) -> Any:
+    """A Blender material with the library material's look and, as the artist's own choice, its feel."""
+    made = bpy.data.materials.new(spoken(material.name))
+    give_look(made, material.appearance)
+    made.hnf_touch.library = material.name
+    felt = material.mechanics
+    friction = "" if felt.friction is None else f", friction {felt.friction:g}"
+    describe(
+        made, material_catalog(material.category), f"Looks and feels like {spoken(material.name).lower()}{friction}"
+    )
+    for word in dict.fromkeys((material.category, *material.words)):
+        made.asset_data.tags.new(word, skip_if_exists=True)
+    show(made, material_preview(material))
+    return made
+
+
+def build_stroke(primitive: Primitive, plate: Any) -> Any:
+    """The primitive as a stroke object around the origin, flat on z = 0, touching whatever it is laid on."""
+    scene = bpy.context.scene
+    stroke = place_primitive(scene, plate, 0, primitive, 1.0, name=spoken(primitive.name)).curve
+    stroke.parent = None
+    stroke.hnf_stroke.surface = None
+    points = stroke.data.splines[0].bezier_points
+    knots = np.array([tuple(point.co) for point in points])
+    middle = (knots.min(axis=0) + knots.max(axis=0)) / 2.0
+    for point in points:
+        for part in ("co", "handle_left", "handle_right"):
+            setattr(point, part, np.asarray(getattr(point, part)) - middle)
+    path = primitive_path(primitive)
+    describe(
+        stroke, STROKE_CATALOG,
+        f"{primitive.kind.capitalize()} at {primitive.speed * 1e3:g} mm/s and {primitive.force:g} N, "
+        f"{path.duration_s:.1f} s. Drop it on a surface",
+    )  # fmt: skip
+    for word in dict.fromkeys(("stroke", primitive.kind, *primitive.name.split("-"))):
+        stroke.asset_data.tags.new(word, skip_if_exists=True)
+    show(stroke, stroke_preview(path))
+    return stroke
+
+
+def describe(datablock: Any, catalog: str, text: str) -> None:
+    datablock.asset_mark()
+    facts = datablock.asset_data
+    facts.catalog_id, facts.description, facts.author, facts.license = catalog_id(catalog), text, AUTHOR, LICENCE
+
+
+def show(datablock: Any, picture: Any) -> None:
+    """Make picture (H, W, 4), 0–1, rows from the bottom, the datablock's preview."""
+    preview = datablock.preview_ensure()
+    preview.image_size = (picture.shape[1], picture.shape[0])
+    preview.image_pixels_float.foreach_set(np.ascontiguousarray(picture, dtype=np.float32).ravel())
+
+
+def build(folder: Path) -> None:
+    """Write both .blend files and the catalogs. Whatever is open in this Blender is lost."""
+    folder.mkdir(parents=True, exist_ok=True)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    _write(folder / MATERIALS, {build_material(material) for material in load_library()})
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    plate = _plate()
+    _write(folder / STROKES, {build_stroke(primitive, plate) for primitive in PRIMITIVES.values()})
+    write_text(folder / CATALOGS, catalogs_text())
+
+
+def contents(folder: Path) -> dict[str, Any]:
+    """Everything the files say but their bytes: what two builds agree in. Whatever is open in this Blender is lost."""
+    found: dict[str, Any] = {"catalogs": (folder / CATALOGS).read_text(encoding="utf-8")}
+    for name, kind in ((MATERIALS, "materials"), (STROKES, "objects")):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        with bpy.data.libraries.load(str(folder / name), assets_only=True) as (there, wanted):
+            setattr(wanted, kind, getattr(there, kind))
+        for asset in getattr(wanted, kind):
+            facts = asset.asset_data
+            pixels = np.empty(len(asset.preview.image_pixels_float), dtype=np.float32)
+            asset.preview.image_pixels_float.foreach_get(pixels)
+            found[asset.name] = {
+                "catalog": facts.catalog_id, "description": facts.description, "author": facts.author,
+                "licence": facts.license, "tags": sorted(tag.name for tag in facts.tags),
+                "picture": (*asset.preview.image_size, np.round(255.0 * pixels).astype(np.uint8).tobytes()),
+                **(_material_facts(asset) if kind == "materials" else _stroke_facts(asset)),
+            }  # fmt: skip
+    return found
+
+
+def _material_facts(material: Any) -> dict[str, Any]:
+    shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+    colour = np.round(shader.inputs["Base Color"].default_value[:3], 5).tolist()
+    values = [round(shader.inputs[name].default_value, 5) for name in ("Roughness", "Metallic", "Sheen Weight")]
+    return {"feels": material.hnf_touch.library, "looks": [*colour, *values]}
+
+
+def _stroke_facts(stroke: Any) -> dict[str, Any]:
+    from hnf_blender.compat import fcurves_of
+
+    group = stroke.hnf_stroke
+    points = [np.round(tuple(point.co), 6).tolist() for point in stroke.data.splines[0].bezier_points]
+    keys = {
+        curve.data_path: [np.round(tuple(key.co), 4).tolist() for key in curve.keyframe_points]
+        for curve in fcurves_of(stroke)
+    }
+    return {"stroke": (group.is_stroke, group.law, group.probe, group.surface), "points": points, "keys": keys}
+
+
+def _plate() -> Any:
+    half = PLATE_M / 2.0
+    mesh = bpy.data.meshes.new("Plate")
+    mesh.from_pydata([(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0)], [], [(0, 1, 2, 3)])
+    layer = mesh.uv_layers.new(name="UVMap")
+    for loop in mesh.loops:
+        layer.data[loop.index].uv = mesh.vertices[loop.vertex_index].co[:2]
+    plate = bpy.data.objects.new("Plate", mesh)
+    bpy.context.scene.collection.objects.link(plate)
+    bpy.context.view_layer.update()
+    return plate
+
+
+def _write(path: Path, datablocks: set[Any]) -> None:
+    path.unlink(missing_ok=True)
+    bpy.data.libraries.write(str(path), datablocks, fake_user=True, compress=True)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description="Build the asset library.")
+    parser.add_argument("--out", type=Path, default=FOLDER, metavar="DIR")
+    chosen = parser.parse_args(arguments)
+    if not hasattr(bpy.types.Object, "hnf_stroke"):
+        props.register()
+    build(chosen.out)
+    for path in sorted(chosen.out.iterdir()):
+        print(f"{path} ({path.stat().st_size / 1e3:.0f} kB)")
+    return 0
+
+
+if __name__ == "__main__":
+    code = main()
+    sys.stdout.flush()
+    os._exit(code)  # bpy 4.2 may crash and 4.5 hang in the interpreter's exit
