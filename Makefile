@@ -1,4 +1,5 @@
-# make demo | test | test-app | extension | lint | clean | clean-env       (Linux, Python 3.11; sets everything up)
+# make demo | test | test-app | extension | repository | assets | lint | clean | clean-env
+# (Linux, Python 3.11; sets everything up)
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
@@ -9,13 +10,15 @@ PYTHON ?= $(shell for p in python3.11 /usr/bin/python3.11 /usr/local/bin/python3
 VENV := .venv/bin
 PLATFORM ?= linux-x64
 
-.PHONY: help demo test test-app extension lint python env-demo env-test env-matrix clean clean-env
+.PHONY: help demo test test-app extension repository assets lint python env-demo env-test env-matrix clean clean-env
 
 help:
 	@echo 'make demo       set up, build the demo scene, touch it: build/demo'
 	@echo 'make test       set up, lint, types, all tests on bpy 5.0, 4.5 and 4.2'
 	@echo 'make test-app   tests in a real, windowed Blender in a Debian chroot (root)'
 	@echo 'make extension  the add-on as installable zips: dist'
+	@echo 'make repository an extension repository that Blender updates from: dist/repository'
+	@echo 'make assets     the asset library that comes with the add-on: hnf_blender/assets'
 	@echo 'make clean      delete build and dist;  make clean-env  delete the environments too'
 
 python:
@@ -50,6 +53,13 @@ lint: env-test
 
 extension: env-demo
 	$(VENV)/python tools/build_extension.py --platform $(PLATFORM) --python 3.11 --python 3.13
+
+repository: env-demo
+	$(VENV)/python tools/build_repository.py
+
+# With the oldest Blender: later ones read its files, it does not read theirs.
+assets: env-matrix
+	.venv-4.2/bin/python tools/build_assets.py
 
 # --one-file-system: never follow a mount out of the tree (the chroot of test-app lies in build).
 clean:

@@ -164,21 +164,24 @@ def blender_scripts() -> Path:
     return found[-1].parents[3]
 
 
-def run_blender_tool(verb: str, *arguments: str) -> str:
-    """Run Blender's extension tool; its output. Raises BuildError with what it said where it refuses."""
+def run_blender_tool(verb: str, *arguments: str, tags: bool = True) -> str:
+    """Run Blender's extension tool; its output. tags: whether the verb checks an extension's tags. Raises BuildError
+    with what it said where it refuses."""
     scripts = blender_scripts()
     tool = scripts / "addons_core" / "bl_pkg" / "cli" / "blender_ext.py"
-    tags = scripts / "modules" / "_bpy_internal" / "extensions" / "tags.py"  # as Blender's own command line does
-    command = [sys.executable, str(tool), verb, *arguments, "--valid-tags", str(tags) if tags.is_file() else ""]
+    command = [sys.executable, str(tool), verb, *arguments]
+    if tags:
+        known = scripts / "modules" / "_bpy_internal" / "extensions" / "tags.py"  # as Blender's own command line does
+        command += ["--valid-tags", str(known) if known.is_file() else ""]
     run = subprocess.run(command, capture_output=True, text=True, timeout=300)
     if run.returncode != 0:
         raise BuildError(f"Blender refuses the extension:\n{run.stdout}{run.stderr}")
     return run.stdout
 
 
-def build(target: Target, out: Path, staging: Path = STAGING) -> Path:
-    """Build and validate one zip; its path. Raises BuildError."""
-    source, version = read_source(), project_version()
+def build(target: Target, out: Path, staging: Path = STAGING, version: str = "") -> Path:
+    """Build and validate one zip; its path. version: of the manifest, "" = the project's own. Raises BuildError."""
+    source, version = read_source(), version or project_version()
     folder = staging / target.tag
     stage(source, target, version, folder)
     out.mkdir(parents=True, exist_ok=True)

@@ -52,6 +52,7 @@ class Profile:
 def run_python(profile: Path, code: str, *arguments: str, timeout: float) -> subprocess.CompletedProcess[str]:
     environment = {key: value for key, value in os.environ.items() if not key.startswith(("BLENDER_", "PYTHON"))}
     environment |= {"BLENDER_USER_RESOURCES": str(profile), "HOME": str(profile), "PYTHONUNBUFFERED": "1"}
+    environment["no_proxy"] = "127.0.0.1"
     return subprocess.run(
         [sys.executable, "-c", code, *arguments],
         cwd=profile,

@@ -1,0 +1,102 @@
+"""Build an extension repository: a folder for any static web server, from which Blender installs and updates.
+
+    .venv/bin/python tools/build_repository.py [--python 3.11]… [--platform linux-x64]… [--out dist/repository]
+
+It holds one zip for each Python and platform, index.json (what Blender asks for) and index.html (to drag from). In
+Blender: Preferences › Get Extensions › Repositories › Add Remote Repository, with the address of index.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import html
+import json
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from build_extension import ROOT, BuildError, Target, build, read_source, run_blender_tool
+
+PYTHONS = ("3.11", "3.13")
+"""Of Blender's own builds: 4.2 to 5.0, and 5.1 on."""
+OUT = ROOT / "dist" / "repository"
+PAGE = """<!DOCTYPE html>
+<html lang="en">
+<head>
+  <meta charset="utf-8">
+  <title>$name</title>
+  <style>
+    body { font: 16px/1.5 sans-serif; max-width: 60em; margin: 3em auto; padding: 0 1em; }
+    table { border-collapse: collapse; } td, th { padding: .3em .8em; text-align: left; border-bottom: 1px solid #ccc; }
+  </style>
+</head>
+<body>
+<h1>$name</h1>
+<p>$tagline. For Blender 4.2 and later.</p>
+<p><b>Drag the link of your system into Blender</b> (twice the first time: Blender adds this repository, then installs).
+Updates then arrive by themselves. By hand: <i>Preferences › Get Extensions › Repositories › Add Remote Repository</i>,
+with the address of <a href="index.json">index.json</a>. Without a network: download the zip and drop it on Blender.</p>
+${body}
+<p>Built ${date}</p>
+</body>
+</html>
+"""
+"""${body} and ${date} are Blender's to fill in."""
+
+
+def page(manifest: dict[str, Any]) -> str:
+    """The HTML template that Blender's tool completes."""
+    return PAGE.replace("$name", html.escape(manifest["name"])).replace("$tagline", html.escape(manifest["tagline"]))
+
+
+def generate(folder: Path) -> dict[str, Any]:
+    """Write index.json and index.html for the zips in folder; the index. Raises BuildError where Blender's tool
+    refuses a zip or warns: two zips that the same Blender would take are one too many."""
+    with tempfile.TemporaryDirectory() as scratch:
+        template = Path(scratch) / "page.html"
+        template.write_text(page(read_source()["manifest"]), encoding="utf-8")
+        said = run_blender_tool(
+            "server-generate", "--repo-dir", str(folder), "--html", "--html-template", str(template), tags=False
+        )
+    problems = [line for line in said.splitlines() if line.startswith(("WARN", "ERROR", "FATAL"))]
+    if problems:
+        raise BuildError("Blender complains of the repository:\n" + "\n".join(problems))
+    index: dict[str, Any] = json.loads((folder / "index.json").read_text(encoding="utf-8"))
+    return index
+
+
+def publish(zips: list[Path], out: Path) -> dict[str, Any]:
+    """Make out hold these zips and their index, and no zip of another version; the index. Raises BuildError."""
+    out.mkdir(parents=True, exist_ok=True)
+    for old in set(out.glob("*.zip")) - {out / path.name for path in zips}:
+        old.unlink()
+    for path in zips:
+        if path.parent != out:
+            shutil.copy2(path, out / path.name)
+    return generate(out)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Build every Python × platform, then the index; 1 with a clear line where something fails."""
+    parser = argparse.ArgumentParser(description="Build an extension repository.")
+    parser.add_argument("--python", action="append", metavar="X.Y", help=f"default {' '.join(PYTHONS)}")
+    parser.add_argument("--platform", action="append", metavar="NAME", help="Blender's platform (default: all)")
+    parser.add_argument("--out", type=Path, default=OUT, metavar="DIR")
+    chosen = parser.parse_args(arguments)
+    try:
+        platforms = chosen.platform or list(read_source()["platforms"])
+        targets = [Target(python, platform) for platform in platforms for python in chosen.python or PYTHONS]
+        index = publish([build(target, chosen.out) for target in targets], chosen.out)
+    except BuildError as error:
+        print(error, file=sys.stderr)
+        return 1
+    for entry in index["data"]:
+        print(f"{entry['archive_url']} ({entry['archive_size'] / 1e6:.1f} MB)")
+    print(f"{chosen.out / 'index.json'}: {len(index['data'])} zips")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
