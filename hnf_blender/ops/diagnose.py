@@ -19,6 +19,7 @@ from hnf_core.material.token import ENCODER_ID
 from ..state.folders import cache_folder
 from ..state.session import STATE
 from ..translations import tr
+from ..ui.texts import byte_text
 
 PACKAGES = ("OpenEXR", "embreex", "safetensors", "matplotlib")
 
@@ -70,16 +71,6 @@ def folder_bytes(folder: Path) -> int:
         except OSError:  # removed meanwhile
             continue
     return total
-
-
-def byte_text(count: int) -> str:
-    """1234 → "1.2 kB", as Blender writes sizes (decimal)."""
-    if count < 1000:
-        return f"{count} B"
-    for unit, size in (("kB", 1e3), ("MB", 1e6), ("GB", 1e9)):
-        if count < 999.5 * size or unit == "GB":
-            return f"{count / size:.3g} {unit}"
-    raise AssertionError("unreachable")
 
 
 def _version_of(package: str) -> str:

@@ -5,7 +5,14 @@ from __future__ import annotations
 import importlib
 from types import ModuleType
 
-MODULES: tuple[str, ...] = ()
+MODULES = (
+    "stroke_list",
+    "scene_panel",
+    "materials_panel",
+    "strokes_panel",
+    "export_panel",
+    "diagnose_panel",
+)
 """Sub-modules, each with a tuple CLASSES."""
 
 _loaded: list[ModuleType] = []

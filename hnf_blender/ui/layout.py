@@ -1,0 +1,44 @@
+"""How panels are put together: where they stand, labels that wrap, hints."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .texts import shortened, wrapped
+
+CHARACTER_PX = 6.3
+"""Mean width of a character of Blender's interface font at resolution scale 1."""
+MARGIN_PX = 46
+"""Left and right of a label with an icon inside a box inside a panel."""
+
+
+class TouchPanel:
+    """Every panel of the Touch tab."""
+
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "Touch"
+
+
+def characters(context: Any) -> int:
+    """How many characters fit in a line of the region."""
+    scale = float(context.preferences.system.ui_scale)
+    return max(12, int((context.region.width / scale - MARGIN_PX) / CHARACTER_PX))
+
+
+def paragraph(layout: Any, context: Any, text: str, icon: str = "NONE", indent: int = 0) -> None:
+    """A label of as many lines as it takes. text: translated already."""
+    column = layout.column(align=True)
+    column.scale_y = 0.8
+    for place, line in enumerate(wrapped(text, characters(context) - indent)):
+        column.label(text=line, icon=icon if place == 0 or icon == "NONE" else "BLANK1", translate=False)
+
+
+def hint(layout: Any, context: Any, text: str) -> None:
+    """What to do in a panel that has nothing to show yet."""
+    paragraph(layout.box(), context, text, icon="INFO")
+
+
+def named(context: Any, text: str, taken: int = 0) -> str:
+    """A name cut to a line of which `taken` characters are used for something else."""
+    return shortened(text, max(8, characters(context) - taken))

@@ -1,0 +1,119 @@
+"""Materials: what each slot feels like, who decided, and what else it could be."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ..ops.materials import felt_object, spoken
+from ..state.session import STATE, StrokeStatus
+from ..translations import tr
+from .layout import TouchPanel, hint, named, paragraph
+from .texts import routes_lines, sure_text
+
+MOST_SUGGESTIONS = 4
+
+
+def felt_text(material: Any) -> tuple[str, str]:
+    """Icon and words of what a Blender material is taken to feel like."""
+    if material.hnf_touch.library:
+        return "LOCKED", spoken(material.hnf_touch.library)
+    ranked = STATE.suggestions.get(material.name)
+    if ranked:
+        return "UNLOCKED", f"{spoken(ranked[0].name)} ({sure_text(ranked[0].confidence)})"
+    return "UNLOCKED", tr("Decided at the bake")
+
+
+def bakes_on(object_name: str) -> list[tuple[str, StrokeStatus]]:
+    """Strokes baked on an object, by name."""
+    return sorted(
+        (name, status)
+        for name, status in STATE.strokes.items()
+        if status.object_name == object_name and status.library_material
+    )
+
+
+class HNF_UL_slots(bpy.types.UIList):  # type: ignore[misc]  # noqa: N801  # bpy has no types, Blender's naming
+    """Material slots with what each feels like."""
+
+    def draw_item(
+        self, context: Any, layout: Any, _data: Any, slot: Any, icon: int, _active_data: Any, _active: str, _index: int
+    ) -> None:
+        if slot.material is None:
+            layout.label(text="Empty slot", icon="MATERIAL")
+            return
+        row = layout.row()
+        row.label(text=named(context, slot.material.name, taken=18), icon_value=icon, translate=False)
+        lock, felt = felt_text(slot.material)
+        row.label(text=felt, icon=lock, translate=False)
+
+
+class HNF_PT_materials(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
+    bl_label = "Materials"
+    bl_order = 1
+
+    def draw(self, context: Any) -> None:
+        layout, obj = self.layout, felt_object(context)
+        if obj is None:
+            hint(layout, context, tr("Select a mesh or a stroke to see what its materials feel like"))
+            return
+        layout.label(text=named(context, obj.name), icon="OBJECT_DATA", translate=False)
+        if len(obj.material_slots) > 1:
+            layout.template_list(
+                "HNF_UL_slots", "", obj, "material_slots", obj, "active_material_index", rows=3, maxrows=6
+            )
+        material = obj.active_material
+        if material is None:
+            hint(layout, context, tr("No material in this slot: what it feels like is guessed from names alone"))
+        else:
+            draw_material(layout, context, material)
+
+
+def draw_material(layout: Any, context: Any, material: Any) -> None:
+    """One material: its word, the artist's lock, the suggestions."""
+    icon, felt = felt_text(material)
+    chosen = bool(material.hnf_touch.library)
+    box = layout.box()
+    box.label(text=named(context, material.name), icon="MATERIAL", translate=False)
+    row = box.row(align=True)
+    row.label(text=felt, icon=icon, translate=False)
+    if chosen:
+        row.operator("hnf.material_auto", text="Automatic", icon="LOOP_BACK").material = material.name
+    column = box.column(align=True)
+    ranked = STATE.suggestions.get(material.name, ())[:MOST_SUGGESTIONS]
+    for suggestion in ranked:
+        text = f"{spoken(suggestion.name)}  {round(100 * suggestion.confidence)} %"
+        choose = column.operator(
+            "hnf.material_choose", text=text, translate=False,
+            depress=material.hnf_touch.library == suggestion.name,
+        )  # fmt: skip
+        choose.material, choose.name = material.name, suggestion.name
+    if ranked:
+        paragraph(box, context, tr("Why: {reason}").format(reason=ranked[0].reason), icon="INFO")
+    row = box.row(align=True)
+    row.operator("hnf.suggest", text="Suggest", icon="LIGHT")
+    row.operator("hnf.material_choose", text="Choose…", icon="VIEWZOOM").material = material.name
+
+
+class HNF_PT_as_baked(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
+    bl_label = "As Baked"
+    bl_parent_id = "HNF_PT_materials"
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        obj = felt_object(context)
+        return obj is not None and bool(bakes_on(obj.name))
+
+    def draw(self, context: Any) -> None:
+        obj = felt_object(context)
+        for name, status in bakes_on(obj.name):
+            column = self.layout.column(align=True)
+            column.label(text=named(context, name), icon="CURVE_DATA", translate=False)
+            felt = f"{spoken(status.library_material)}, {sure_text(status.confidence)}"
+            paragraph(column, context, felt, icon="BLANK1")
+            for line in routes_lines(status.routes):
+                paragraph(column, context, line, icon="BLANK1")
+
+
+CLASSES = (HNF_UL_slots, HNF_PT_materials, HNF_PT_as_baked)

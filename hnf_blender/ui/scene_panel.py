@@ -1,0 +1,133 @@
+"""Scene: what to do next, the bake and how it goes, the plan, the scale."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ..props.scene import strokes_of
+from ..state.session import STATE
+from ..translations import tr
+from .layout import TouchPanel, hint, named, paragraph
+from .texts import (
+    AUDIBLE,
+    counts_text,
+    estimate_text,
+    job_text,
+    left_text,
+    plan_groups,
+    share_done,
+    steps,
+)
+
+MOST_LINES = 6
+"""Of one kind in the plan; the rest is counted."""
+
+
+class HNF_PT_scene(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801  # bpy has no types
+    bl_label = "Scene"
+    bl_order = 0
+
+    def draw(self, context: Any) -> None:
+        layout, scene = self.layout, context.scene
+        if STATE.job is not None:
+            draw_job(layout, context)
+            return
+        strokes = strokes_of(scene)
+        draw_first_steps(layout, context, strokes)
+        column = layout.column(align=True)
+        row = column.row(align=True)
+        row.scale_y = 1.4
+        row.operator("hnf.bake", text="Bake", icon="RENDER_STILL").only_active = False
+        column.operator("hnf.bake", text="Only the Active Stroke", icon="CURVE_DATA").only_active = True
+        if strokes:
+            text = counts_text(STATE.strokes.get(obj.name) for obj in strokes if not obj.hnf_stroke.mute)
+            paragraph(layout, context, text, icon="CURVE_DATA") if text else None
+        draw_last_job(layout, context)
+
+
+def draw_first_steps(layout: Any, context: Any, strokes: list[Any]) -> None:
+    """1 Draw, 2 Bake, 3 Play, until the first stroke can be heard."""
+    audible = sum(obj.name in STATE.strokes and STATE.strokes[obj.name].freshness in AUDIBLE for obj in strokes)
+    todo = steps(len(strokes), audible)
+    if not todo:
+        return
+    box = layout.box().column(align=True)
+    for step in todo:
+        row = box.row()
+        row.active = step.icon != "BLANK1"
+        row.label(text=step.text, icon=step.icon, translate=False)
+    if not strokes:
+        if not any(obj.type == "MESH" for obj in context.scene.objects):
+            paragraph(box, context, tr("There is no mesh to touch yet: add or import one"), icon="ERROR")
+            return
+        row = box.row(align=True)
+        row.operator("wm.tool_set_by_id", text="Stroke Tool", icon="GREASEPENCIL").name = "hnf.stroke"
+        row.menu("HNF_MT_stroke_add", text="Ready Strokes", icon="ADD")
+
+
+def draw_job(layout: Any, context: Any) -> None:
+    """The running job: bar, what it does, time left, the way out."""
+    job = STATE.job
+    if job is None:
+        return
+    row = layout.row(align=True)
+    row.progress(factor=share_done(job), text=named(context, job_text(job), taken=8))
+    row.operator("hnf.bake_cancel", text="", icon="X")
+    paragraph(layout, context, left_text(job), icon="TIME")
+    paragraph(layout, context, tr("Go on working; Esc over the 3-D view cancels"), icon="INFO")
+
+
+def draw_last_job(layout: Any, context: Any) -> None:
+    last = STATE.last_job
+    if last is None:
+        return
+    box = layout.box() if not last.ok else layout.column(align=True)
+    box.alert = not last.ok
+    paragraph(box, context, last.message, icon="CHECKMARK" if last.ok else "ERROR")
+    for detail in last.details[:MOST_LINES]:
+        paragraph(box, context, detail, icon="BLANK1")
+
+
+class HNF_PT_plan(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
+    bl_label = "Plan"
+    bl_parent_id = "HNF_PT_scene"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012  # Blender reads a set
+
+    def draw(self, context: Any) -> None:
+        layout, plan = self.layout, STATE.plan
+        layout.operator("hnf.plan", text="What Is to Bake?", icon="VIEWZOOM")
+        if plan is None:
+            hint(layout, context, tr("Lists what a bake would do and why, how long it takes, and what it keeps"))
+            return
+        estimate = estimate_text(plan)
+        if estimate:
+            paragraph(layout, context, estimate, icon="TIME")
+        for icon, heading, lines in plan_groups(plan):
+            column = layout.column(align=True)
+            column.label(text=heading, icon=icon, translate=False)
+            for line in lines[:MOST_LINES]:
+                paragraph(column, context, f"{line.what}: {line.why}" if line.why else line.what, icon="BLANK1")
+            if len(lines) > MOST_LINES:
+                more = tr("and {count} more").format(count=len(lines) - MOST_LINES)
+                column.label(text=more, icon="BLANK1", translate=False)
+
+
+class HNF_PT_scale(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
+    bl_label = "Scale"
+    bl_parent_id = "HNF_PT_scene"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+
+    def draw(self, context: Any) -> None:
+        layout, scene = self.layout, context.scene
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        layout.prop(scene.hnf, "metres_per_unit")
+        own = float(scene.hnf.metres_per_unit)
+        metres = own or float(scene.unit_settings.scale_length)
+        text = tr("One unit is {size} (set here)") if own else tr("One unit is {size} (from the scene's unit scale)")
+        paragraph(layout, context, text.format(size=f"{metres:g} m"), icon="INFO")
+
+
+CLASSES = (HNF_PT_scene, HNF_PT_plan, HNF_PT_scale)

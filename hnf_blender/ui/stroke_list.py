@@ -1,0 +1,80 @@
+"""The list of strokes and the menu of ready ones."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from hnf_core.action.primitives import PRIMITIVES
+
+from ..state.session import STATE
+from ..translations import tr
+from .layout import named
+from .texts import look
+
+PRIMITIVE_ICONS = {"scrape": "IPO_LINEAR", "rub": "FORCE_VORTEX"}
+
+
+def primitive_text(name: str) -> str:
+    """ "left-right-soft" → "Left right soft  0.5 N, 100 mm/s"."""
+    primitive = PRIMITIVES[name]
+    label = tr(name.replace("-", " ").capitalize())
+    return f"{label}  {primitive.force:g} N, {primitive.speed * 1e3:g} mm/s"
+
+
+class HNF_MT_stroke_add(bpy.types.Menu):  # type: ignore[misc]  # noqa: N801  # bpy has no types, Blender's naming
+    bl_label = "Add Stroke"
+
+    def draw(self, _context: Any) -> None:
+        layout = self.layout
+        layout.operator_context = "INVOKE_DEFAULT"
+        for name, primitive in PRIMITIVES.items():
+            icon = PRIMITIVE_ICONS[primitive.kind]
+            layout.operator("hnf.stroke_add", text=primitive_text(name), icon=icon, translate=False).primitive = name
+        layout.separator()
+        layout.operator("hnf.stroke_from_curve", text="From the Selected Curve", icon="OUTLINER_OB_CURVE")
+
+
+class HNF_UL_strokes(bpy.types.UIList):  # type: ignore[misc]  # noqa: N801
+    """Strokes with the state of their bake; a click selects the stroke in the scene too."""
+
+    def draw_item(
+        self, context: Any, layout: Any, _data: Any, obj: Any, _icon: int, _active_data: Any, _active: str, _index: int
+    ) -> None:
+        status = STATE.strokes.get(obj.name)
+        row = layout.row(align=True)
+        row.active = not obj.hnf_stroke.mute
+        name = row.row(align=True)
+        name.alignment = "LEFT"
+        select = name.operator(
+            "hnf.stroke_select", text=named(context, obj.name, taken=13), icon=look(status)[0], emboss=False,
+            translate=False,
+        )  # fmt: skip
+        select.name = obj.name
+        switches = row.row(align=True)
+        switches.alignment = "RIGHT"
+        solo = "SOLO_ON" if is_solo(context.scene, obj) else "SOLO_OFF"
+        switches.operator("hnf.stroke_solo", text="", icon=solo, emboss=False).name = obj.name
+        mute = "MUTE_IPO_ON" if obj.hnf_stroke.mute else "MUTE_IPO_OFF"
+        switches.prop(obj.hnf_stroke, "mute", text="", icon=mute, emboss=False)
+
+    def filter_items(self, _context: Any, data: Any, name: str) -> tuple[list[int], list[int]]:
+        """The scene's strokes, those whose name matches what is searched for."""
+        objects = getattr(data, name)
+        wanted = self.filter_name.lower()
+        shown = [
+            self.bitflag_filter_item if obj.hnf_stroke.is_stroke and wanted in obj.name.lower() else 0
+            for obj in objects
+        ]
+        order = bpy.types.UI_UL_list.sort_items_by_name(objects, "name")
+        return shown, order
+
+
+def is_solo(scene: Any, stroke: Any) -> bool:
+    """Is it the only stroke of several that is not muted?"""
+    strokes = [obj for obj in scene.objects if obj.hnf_stroke.is_stroke]
+    return len(strokes) > 1 and [obj for obj in strokes if not obj.hnf_stroke.mute] == [stroke]
+
+
+CLASSES = (HNF_MT_stroke_add, HNF_UL_strokes)

@@ -1,0 +1,144 @@
+"""Strokes: the list, and below it everything that one stroke is made of."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from .. import compat
+from ..ops.materials import spoken
+from ..props.scene import active_stroke, strokes_of
+from ..state.session import STATE
+from ..translations import tr
+from .layout import TouchPanel, hint, named, paragraph
+from .texts import look
+
+ROWS = (3, 8)
+"""Fewest and most rows of the list."""
+
+
+class HNF_PT_strokes(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801  # bpy has no types
+    bl_label = "Strokes"
+    bl_order = 2
+
+    def draw(self, context: Any) -> None:
+        layout, scene = self.layout, context.scene
+        strokes = strokes_of(scene)
+        row = layout.row(align=True)
+        row.operator("wm.tool_set_by_id", text="Stroke Tool", icon="GREASEPENCIL").name = "hnf.stroke"
+        row.menu("HNF_MT_stroke_add", text="Ready Strokes", icon="ADD")
+        if not strokes:
+            hint(
+                layout,
+                context,
+                tr(
+                    "Take the tool and drag over a surface: pen pressure becomes force. Or add a ready stroke to the "
+                    "selected mesh"
+                ),
+            )
+            return
+        row = layout.row()
+        row.template_list(
+            "HNF_UL_strokes", "", scene, "objects", scene.hnf, "stroke_index", rows=ROWS[0], maxrows=ROWS[1]
+        )
+        side = row.column(align=True)
+        side.operator("hnf.stroke_duplicate", text="", icon="DUPLICATE")
+        side.operator("hnf.stroke_delete", text="", icon="REMOVE")
+        stroke = active_stroke(context)
+        if stroke is None:
+            hint(layout, context, tr("Click a stroke to see what it is made of"))
+
+
+class OfStroke(TouchPanel):
+    """Panels that speak of the active stroke."""
+
+    bl_parent_id = "HNF_PT_strokes"
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return active_stroke(context) is not None
+
+
+class HNF_PT_stroke(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
+    bl_label = "Active Stroke"
+
+    def draw(self, context: Any) -> None:
+        layout, stroke = self.layout, active_stroke(context)
+        group = stroke.hnf_stroke
+        layout.prop(stroke, "name", text="", icon="CURVE_DATA")
+        icon, text = look(STATE.strokes.get(stroke.name))
+        paragraph(layout, context, text, icon=icon)
+        for warning in STATE.strokes[stroke.name].warnings if stroke.name in STATE.strokes else ():
+            paragraph(layout, context, warning, icon="ERROR")
+        layout.use_property_split = True
+        column = layout.column()
+        column.use_property_decorate = False
+        column.prop(group, "surface")
+        if group.surface is None:
+            paragraph(column, context, tr("Empty: the nearest visible mesh is touched"), icon="BLANK1")
+        column.prop(group, "probe")
+        row = column.row(align=True)
+        felt = spoken(group.material) if group.material else tr("What is there")
+        row.operator("hnf.stroke_material", text=named(context, felt, taken=6), icon="MATERIAL", translate=False)
+        if group.material:
+            row.operator("hnf.stroke_material_auto", text="", icon="X")
+
+
+class HNF_PT_stroke_time(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
+    bl_label = "Time"
+
+    def draw(self, context: Any) -> None:
+        layout, group = self.layout, active_stroke(context).hnf_stroke
+        layout.use_property_split = True
+        keyed = is_keyed(active_stroke(context), "progress")
+        column = layout.column()
+        column.use_property_decorate = False
+        column.prop(group, "start")
+        if keyed:
+            paragraph(column, context, tr("Keys of progress move the hand"), icon="KEY_HLT")
+        else:
+            column.prop(group, "law")
+            if group.law == "SPEED":
+                column.prop(group, "speed_mm_s", text="Speed (mm/s)")
+            elif group.law == "DURATION":
+                column.prop(group, "duration_s", text="Duration (s)")
+            else:
+                paragraph(column, context, tr("Key progress at two frames at least"), icon="INFO")
+        if keyed or group.law == "PROGRESS":
+            layout.prop(group, "progress")
+
+
+class HNF_PT_stroke_force(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
+    bl_label = "Force"
+
+    def draw(self, context: Any) -> None:
+        layout, stroke = self.layout, active_stroke(context)
+        split = layout.column()
+        split.use_property_split = True
+        split.prop(stroke.hnf_stroke, "force", text="Force (N)")
+        row = layout.row(align=True)
+        row.operator("hnf.stroke_key_force", text="Key", icon="KEY_HLT")
+        row.operator("hnf.force_graph", text="Graph Editor", icon="GRAPH")
+        layout.operator("hnf.stroke_copy_force", text="Copy Force to Selected", icon="COPYDOWN")
+        if is_keyed(stroke, "force"):
+            paragraph(layout, context, tr("Keyed: change its curve and listen again"), icon="FCURVE")
+
+
+class HNF_PT_stroke_variation(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
+    bl_label = "Variation"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012  # Blender reads a set
+
+    def draw(self, context: Any) -> None:
+        self.layout.use_property_split = True
+        self.layout.use_property_decorate = False
+        self.layout.prop(active_stroke(context).hnf_stroke, "seed")
+
+
+def is_keyed(obj: Any, name: str) -> bool:
+    """Has the property of hnf_stroke keyframes of its own?"""
+    path = f"hnf_stroke.{name}"
+    return any(fcurve.data_path == path and not fcurve.is_empty for fcurve in compat.fcurves_of(obj))
+
+
+CLASSES = (HNF_PT_strokes, HNF_PT_stroke, HNF_PT_stroke_time, HNF_PT_stroke_force, HNF_PT_stroke_variation)

@@ -1,0 +1,168 @@
+"""What panels say: plain functions from cached state to words and icons. Nothing here draws or looks anything up."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from ..state.session import Freshness, JobStatus, PlanLine, PlanView, StrokeStatus
+from ..translations import tr
+
+ELLIPSIS = "…"
+LOOKS = {
+    Freshness.UNKNOWN: ("QUESTION", "Not looked at since the last change"),
+    Freshness.UNBAKED: ("RADIOBUT_OFF", "Not baked yet"),
+    Freshness.FRESH: ("CHECKMARK", "Up to date"),
+    Freshness.FORCE: ("FORCE_FORCE", "Force changed: heard at once, nothing to bake"),
+    Freshness.STALE: ("FILE_REFRESH", "Out of date: bake again"),
+    Freshness.BROKEN: ("ERROR", "Cannot be used"),
+}
+"""Icon and words of every state of a stroke's bake."""
+AUDIBLE = (Freshness.FRESH, Freshness.FORCE)
+KINDS = {
+    "needed": ("FILE_REFRESH", "To bake"),
+    "fresh": ("CHECKMARK", "Up to date"),
+    "skipped": ("RADIOBUT_OFF", "Left out"),
+    "failed": ("ERROR", "Cannot be done"),
+    "note": ("INFO", "To know"),
+}
+"""Icon and heading of every kind of plan line, in the order they are shown."""
+ROUTE_WORDS = {
+    "measured": "seen in the shader's relief",
+    "predicted": "estimated from the picture",
+    "prior": "taken from the library",
+}
+
+
+@dataclass(frozen=True)
+class Step:
+    """One of the first steps. icon: done, current or still to come."""
+
+    text: str
+    icon: str
+    current: bool
+
+
+def look(status: StrokeStatus | None) -> tuple[str, str]:
+    """Icon and sentence of a stroke; a sentence of its own where the status brings one."""
+    freshness = Freshness.UNKNOWN if status is None else status.freshness
+    icon, text = LOOKS[freshness]
+    return icon, status.why if status is not None and status.why else tr(text)
+
+
+def steps(strokes: int, audible: int) -> tuple[Step, ...]:
+    """The way from an empty scene to the first sound; empty once something can be heard."""
+    if audible:
+        return ()
+    at = 0 if strokes == 0 else 1
+    texts = (tr("1  Draw a stroke on a surface"), tr("2  Bake"), tr("3  Play"))
+    icons = ("CHECKMARK", "TRIA_RIGHT", "BLANK1")
+    return tuple(
+        Step(text, icons[0] if place < at else icons[1] if place == at else icons[2], place == at)
+        for place, text in enumerate(texts)
+    )
+
+
+def counts_text(statuses: Iterable[StrokeStatus | None]) -> str:
+    """ "2 up to date, 1 to bake" of the strokes given; "" of none."""
+    found = [Freshness.UNKNOWN if status is None else status.freshness for status in statuses]
+    parts = [
+        (tr("{count} up to date"), sum(each in AUDIBLE for each in found)),
+        (tr("{count} to bake"), sum(each in (Freshness.UNBAKED, Freshness.STALE) for each in found)),
+        (tr("{count} not looked at"), found.count(Freshness.UNKNOWN)),
+        (tr("{count} broken"), found.count(Freshness.BROKEN)),
+    ]
+    return ", ".join(text.format(count=count) for text, count in parts if count)
+
+
+def time_text(seconds: float) -> str:
+    """Rounded as people say it: "under 1 s", "12 s", "3 min 20 s", "1 h 5 min"."""
+    if seconds < 1.0:
+        return tr("under 1 s")
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        minutes, rest = divmod(whole, 60)
+        return f"{minutes} min {rest} s" if rest else f"{minutes} min"
+    hours, rest = divmod(round(whole / 60), 60)
+    return f"{hours} h {rest} min" if rest else f"{hours} h"
+
+
+def byte_text(count: int) -> str:
+    """1234 → "1.2 kB"; decimal, as file managers write sizes."""
+    if count < 1000:
+        return f"{count} B"
+    value, units = count / 1e3, ["kB", "MB", "GB", "TB"]
+    while value >= 999.5 and len(units) > 1:
+        value, units = value / 1e3, units[1:]
+    return f"{value:.2g} {units[0]}" if value < 10.0 else f"{value:.0f} {units[0]}"
+
+
+def job_text(job: JobStatus) -> str:
+    """Stage and count of the running job: "Close-ups: 3 of 12"."""
+    stage = job.stage or job.title
+    return f"{stage}: {tr('{done} of {total}').format(done=job.done, total=job.total)}" if job.total else stage
+
+
+def left_text(job: JobStatus) -> str:
+    if job.left_s is None:
+        return tr("{time} so far").format(time=time_text(job.elapsed_s))
+    return tr("about {time} left").format(time=time_text(job.left_s))
+
+
+def share_done(job: JobStatus) -> float:
+    """0–1, for the progress bar."""
+    return min(max(job.done / job.total, 0.0), 1.0) if job.total else 0.0
+
+
+def estimate_text(plan: PlanView) -> str:
+    """What the plan costs; "" where nothing is needed."""
+    if not any(line.kind == "needed" for line in plan.lines):
+        return ""
+    return tr("About {time}; {size} kept in the .blend").format(
+        time=time_text(plan.seconds), size=byte_text(plan.bytes_after)
+    )
+
+
+def plan_groups(plan: PlanView) -> tuple[tuple[str, str, tuple[PlanLine, ...]], ...]:
+    """Icon, heading with count, and lines of every kind that the plan holds."""
+    groups = []
+    for kind, (icon, heading) in KINDS.items():
+        lines = tuple(line for line in plan.lines if line.kind == kind)
+        if lines:
+            groups.append((icon, f"{tr(heading)}: {len(lines)}", lines))
+    return tuple(groups)
+
+
+def routes_lines(routes: str) -> tuple[str, ...]:
+    """ "8–2 mm measured, 1–0.125 mm prior" → one line a group, in words an artist knows."""
+    lines = []
+    for part in filter(None, routes.split(", ")):
+        match = re.fullmatch(r"(.* mm) (\w+)", part)
+        if match is None or match[2] not in ROUTE_WORDS:
+            lines.append(part)
+        else:
+            lines.append(f"{match[1]}: {tr(ROUTE_WORDS[match[2]])}")
+    return tuple(lines)
+
+
+def sure_text(confidence: float) -> str:
+    """0.64 → "64 % sure"."""
+    return tr("{percent} % sure").format(percent=round(100.0 * confidence))
+
+
+def shortened(text: str, most: int) -> str:
+    """text in at most `most` characters, its middle left out: both ends of a long name tell it from others."""
+    if len(text) <= most:
+        return text
+    keep = max(most - len(ELLIPSIS), 2)
+    return text[: (keep + 1) // 2] + ELLIPSIS + text[len(text) - keep // 2 :]
+
+
+def wrapped(text: str, most: int) -> Sequence[str]:
+    """Lines of at most `most` characters; a word longer than that (a path) is broken."""
+    lines = [line for part in text.splitlines() for line in textwrap.wrap(part, max(most, 8)) or [""]]
+    return lines or [""]
