@@ -1,0 +1,119 @@
+"""The add-on as a guest: light, leaving nothing behind, and taking what is dropped on the window."""
+
+import sys
+
+import bpy
+
+MODULE = "bl_ext.user_default.hnf"
+TIMES = 50
+HANDLERS = [name for name in dir(bpy.app.handlers) if isinstance(getattr(bpy.app.handlers, name), list)]
+
+
+def left_behind():
+    """Everything of ours that Blender holds: handlers, classes, keymap items, properties, menu entries, commands."""
+    ours = [
+        f"{name}: {call}" for name in HANDLERS for call in getattr(bpy.app.handlers, name) if MODULE in call.__module__
+    ]
+    classes = [
+        kind.__name__
+        for base in (bpy.types.Panel, bpy.types.Operator, bpy.types.UIList, bpy.types.Menu, bpy.types.PropertyGroup,
+                     bpy.types.FileHandler, bpy.types.Header, bpy.types.GizmoGroup, bpy.types.AssetShelf)
+        for kind in base.__subclasses__()
+        if kind.__module__.startswith(MODULE) and getattr(kind, "is_registered", False)
+    ]  # fmt: skip
+    keys = [
+        f"{keymap.name}: {item.idname}"
+        for config in (bpy.context.window_manager.keyconfigs.addon, bpy.context.window_manager.keyconfigs.default)
+        for keymap in config.keymaps
+        for item in keymap.keymap_items
+        if "hnf" in item.idname or "hnf" in str(getattr(item.properties, "name", ""))
+    ]
+    properties = [
+        f"{kind.__name__}.{name}"
+        for kind in (bpy.types.Object, bpy.types.Scene, bpy.types.Material, bpy.types.WindowManager)
+        for name in dir(kind)
+        if "hnf" in name
+    ]
+    entries = [
+        f"{menu}: {function.__module__}"
+        for menu in dir(bpy.types)
+        for function in getattr(getattr(getattr(bpy.types, menu), "draw", None), "_draw_funcs", ())
+        if function.__module__.startswith(MODULE)
+    ]
+    operators = list(dir(bpy.ops.hnf))
+    return ours + classes + keys + properties + entries + operators
+
+
+def counts():
+    """How many of everything there are, whoever's."""
+    return {
+        "handlers": sum(len(getattr(bpy.app.handlers, name)) for name in HANDLERS),
+        "panels": len(bpy.types.Panel.__subclasses__()),
+        "keymaps": len(bpy.context.window_manager.keyconfigs.addon.keymaps),
+        "keys": sum(len(one.keymap_items) for one in bpy.context.window_manager.keyconfigs.addon.keymaps),
+    }
+
+
+def check_the_window_takes_events(stage):
+    """The driver itself: without this, nothing below would mean anything."""
+    stage.expect("one window", len(bpy.context.window_manager.windows) == 1)
+    with stage.over():
+        bpy.ops.view3d.view_axis(type="TOP")
+    yield 0.5
+    before = stage.area().spaces.active.region_3d.view_distance
+    yield from stage.key("NUMPAD_PLUS")
+    yield 0.3
+    stage.expect("a key reaches the view", stage.area().spaces.active.region_3d.view_distance < before)
+    yield from stage.click(stage.seen_at((0.0, 0.0, 1.0)))
+    yield 0.3
+    stage.expect("a click selects the cube", [obj.name for obj in bpy.context.selected_objects] == ["Cube"])
+
+
+def check_it_is_on_and_light(stage):
+    names = [addon.module for addon in bpy.context.preferences.addons]
+    stage.expect("it is on", MODULE in names, names)
+    heavy = [name for name in ("torch", "scipy", "matplotlib", "hnf_core", "hnf_blender") if name in sys.modules]
+    stage.expect("nothing heavy or foreign is imported", heavy == [], heavy)
+    yield from stage.show_tab()
+    yield from stage.picture("tab-on-the-default-cube")
+    stage.expect("the tab is there", stage.region("UI").active_panel_category == "Touch")
+
+
+def check_switched_off_it_leaves_nothing(stage):
+    import addon_utils
+
+    stage.expect("something is there while it is on", left_behind())
+    addon_utils.disable(MODULE)
+    yield 0.3
+    stage.expect("nothing is there while it is off", left_behind() == [], left_behind())
+    addon_utils.enable(MODULE)
+    yield 0.3
+
+
+def check_on_and_off_fifty_times(stage):
+    import addon_utils
+
+    before, ours = counts(), sorted(left_behind())
+    for i in range(TIMES):
+        addon_utils.disable(MODULE)
+        if i % 10 == 0:
+            yield 0.05  # and once in a while with redraws between
+        addon_utils.enable(MODULE)
+        if i % 10 == 0:
+            yield 0.05
+    yield 0.3
+    stage.expect("as many of everything as before", counts() == before, f"{before} → {counts()}")
+    stage.expect("the same of ours as before", sorted(left_behind()) == ours, set(left_behind()) ^ set(ours))
+    yield from stage.picture("after-fifty-times")
+
+
+def check_a_second_blender_runs_beside_this_one(stage):
+    """What the bake's child process needs."""
+    import subprocess
+
+    child = subprocess.Popen(
+        [bpy.app.binary_path, "-b", "--factory-startup", "--python-expr", "print('CHILD IS HERE')"],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+    )  # fmt: skip
+    yield from stage.until("the child ends", lambda: child.poll() is not None, 60.0)
+    stage.expect("it ran", "CHILD IS HERE" in child.stdout.read(), child.returncode)
