@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-import importlib
-from types import ModuleType
+from typing import Any
+
+from ..rooms import classes_of, switch_off, switch_on
 
 MODULES = ("materials", "diagnose", "drop", "assets")
 """Sub-modules, each with a tuple CLASSES."""
 
-_loaded: list[ModuleType] = []
+_on: list[Any] = []
 
 
 def register() -> None:
-    import bpy
-
-    for name in MODULES:
-        module = importlib.import_module(f".{name}", __package__)
-        for each in module.CLASSES:
-            bpy.utils.register_class(each)
-        _loaded.append(module)
+    classes = classes_of(__package__, MODULES)
+    switch_on(classes)
+    _on.extend(classes)
 
 
 def unregister() -> None:
-    import bpy
-
-    while _loaded:
-        for each in reversed(_loaded.pop().CLASSES):
-            bpy.utils.unregister_class(each)
+    switch_off(_on)
+    _on.clear()

@@ -1,0 +1,34 @@
+"""Switching the classes of a room on and off: all of them, or none."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+
+def classes_of(package: str, modules: Iterable[str]) -> tuple[Any, ...]:
+    """CLASSES of the sub-modules, in order. All are imported before any is registered."""
+    return tuple(each for name in modules for each in importlib.import_module(f".{name}", package).CLASSES)
+
+
+def switch_on(classes: Sequence[Any]) -> None:
+    """Register the classes. Where one is refused, those before it are taken back and the error is raised."""
+    import bpy
+
+    done: list[Any] = []
+    try:
+        for each in classes:
+            bpy.utils.register_class(each)
+            done.append(each)
+    except Exception:
+        switch_off(done)
+        raise
+
+
+def switch_off(classes: Sequence[Any]) -> None:
+    """Unregister the classes, the last one first."""
+    import bpy
+
+    for each in reversed(classes):
+        bpy.utils.unregister_class(each)
