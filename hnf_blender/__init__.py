@@ -27,14 +27,19 @@ def register() -> None:
             room = importlib.import_module(f".{name}", __package__)
             room.register()
             _registered.append(room)
-        from .cli import main
-
-        _commands.append(bpy.utils.register_cli_command("hnf", main))
+        _commands.append(bpy.utils.register_cli_command("hnf", _command))
     except Exception as error:
         unregister()
         if bpy.app.background:
             raise
         rescue.register(error)
+
+
+def _command(argv: list[str]) -> int:
+    """`blender --command hnf …`: the command line is loaded when it is called, not with every Blender."""
+    from .cli import main
+
+    return main(argv)
 
 
 def unregister() -> None:

@@ -3,21 +3,20 @@
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import bpy
 
 from hnf_core.errors import FileError, HnfError, SceneError
-from hnf_core.material.hnf_file import MaterialFile, read_hnf
-from hnf_core.signal import Signal
 
-from ..bridge.own_material import give, new_material
-from ..bridge.speakers import add_speaker, middle_of
-from ..bridge.under_cursor import object_under
 from ..props.scene import active_stroke, strokes_of
 from ..state.session import STATE
 from ..translations import tr
 from .materials import UNDOABLE, felt_object
+
+if TYPE_CHECKING:  # what reads files is loaded with the first drop, not when the add-on is switched on
+    from hnf_core.material.hnf_file import MaterialFile
+    from hnf_core.signal import Signal
 
 FULL_SCALE = 0.9
 """Share of full scale that a signal in m/s² is played at, at its loudest: Blender clips what lies above 1."""
@@ -44,12 +43,18 @@ class HNF_OT_import_material(bpy.types.Operator):  # type: ignore[misc]  # noqa:
         if not self.filepath:
             context.window_manager.fileselect_add(self)
             return {"RUNNING_MODAL"}
+        from ..bridge.under_cursor import object_under
+
         found = object_under(context, event.mouse_region_x, event.mouse_region_y)
         if found is not None and not self.target:
             self.target, self.slot = found[0].name, found[1]
         return self.execute(context)
 
     def execute(self, context: Any) -> set[str]:
+        from hnf_core.material.hnf_file import read_hnf
+
+        from ..bridge.own_material import give, new_material
+
         try:
             definition = read_hnf(Path(bpy.path.abspath(self.filepath)))
             obj = self._object(context)
@@ -111,6 +116,8 @@ class HNF_OT_import_sound(bpy.types.Operator):  # type: ignore[misc]  # noqa: N8
         return self.execute(context)
 
     def execute(self, context: Any) -> set[str]:
+        from ..bridge.speakers import add_speaker, middle_of
+
         path = Path(bpy.path.abspath(self.filepath))
         try:
             signal = own_signal(path)
@@ -129,7 +136,7 @@ class HNF_OT_import_sound(bpy.types.Operator):  # type: ignore[misc]  # noqa: N8
         return {"FINISHED"}
 
 
-def own_signal(path: Path) -> Signal | None:
+def own_signal(path: Path) -> "Signal | None":
     """The signal in a WAV of this project; None for any other sound that Blender may know. Raises FileError where
     there is no file."""
     from hnf_core.export.wav import UNITS, read_wav
@@ -150,14 +157,14 @@ def _load(path: Path) -> Any:
         raise FileError("Blender cannot read this sound.", where=str(path), remedy="Give a .wav file.") from error
 
 
-def _stroke_of(signal: Signal | None, context: Any) -> Any:
+def _stroke_of(signal: "Signal | None", context: Any) -> Any:
     """The stroke that a signal was made of, where it is in the scene; else the active stroke; else None."""
     name = "" if signal is None else signal.provenance.get("stroke", "")
     own = [stroke for stroke in strokes_of(context.scene) if stroke.name == name]
     return own[0] if own else active_stroke(context)
 
 
-def _said(definition: MaterialFile, obj: Any, material: Any) -> str:
+def _said(definition: "MaterialFile", obj: Any, material: Any) -> str:
     if obj is None:
         return tr("'{name}' is a new material; no object was under the mouse or active").format(name=material.name)
     return tr("{object}: material '{material}' now feels like {name}").format(
