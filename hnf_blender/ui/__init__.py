@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ..rooms import classes_of, switch_off, switch_on
+from . import follow_selection
 
 MODULES = (
     "stroke_list",
@@ -23,8 +24,10 @@ def register() -> None:
     classes = classes_of(__package__, MODULES)
     switch_on(classes)
     _on.extend(classes)
+    follow_selection.register()
 
 
 def unregister() -> None:
+    follow_selection.unregister()
     switch_off(_on)
     _on.clear()

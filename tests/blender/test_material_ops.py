@@ -1,0 +1,170 @@
+"""Suggestions, the artist's own choice, and back to automatic: as buttons call them."""
+
+from __future__ import annotations
+
+import bpy
+import pytest
+
+from hnf_blender.bridge.shader_values import stated_appearance
+from hnf_blender.compat import switch_nodes_on
+from hnf_blender.ops.materials import CLASSES, LIBRARY, felt_object
+from hnf_blender.rooms import switch_off, switch_on
+from hnf_blender.state.session import STATE
+from hnf_core.material.library import load_library
+
+from builders import add_plane, datablock_names
+
+
+@pytest.fixture(autouse=True)
+def operators():
+    STATE.clear()
+    switch_on(CLASSES)
+    yield
+    switch_off(CLASSES)
+    STATE.clear()
+
+
+def material(name: str, **values: object) -> bpy.types.Material:
+    made = bpy.data.materials.new(name)
+    switch_nodes_on(made)
+    shader = next(node for node in made.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+    for socket, value in values.items():
+        shader.inputs[socket.replace("_", " ")].default_value = value
+    return made
+
+
+def touched(made: bpy.types.Material) -> bpy.types.Object:
+    plane = add_plane()
+    plane.data.materials.append(made)
+    bpy.context.view_layer.objects.active = plane
+    return plane
+
+
+def test_stated_values_are_read_without_a_trace() -> None:
+    made = material("Brass", Metallic=1.0, Roughness=0.25, Base_Color=(0.8, 0.6, 0.2, 1.0))
+    before = datablock_names()
+    appearance = stated_appearance(made)
+    assert datablock_names() == before
+    assert appearance.metallic == pytest.approx(1.0)
+    assert appearance.roughness == pytest.approx(0.25)
+    assert appearance.base_color == pytest.approx((0.8, 0.6, 0.2))
+
+
+def test_what_a_texture_says_stays_unknown() -> None:
+    made = material("Checked", Roughness=0.3)
+    nodes, links = made.node_tree.nodes, made.node_tree.links
+    shader = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
+    links.new(nodes.new("ShaderNodeTexChecker").outputs["Color"], shader.inputs["Base Color"])
+    appearance = stated_appearance(made)
+    assert appearance.base_color is None
+    assert appearance.roughness == pytest.approx(0.3)
+
+
+def test_a_value_node_is_a_stated_value() -> None:
+    made = material("Waxed")
+    nodes, links = made.node_tree.nodes, made.node_tree.links
+    value = nodes.new("ShaderNodeValue")
+    value.outputs[0].default_value = 0.125
+    shader = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
+    links.new(value.outputs[0], shader.inputs["Roughness"])
+    assert stated_appearance(made).roughness == pytest.approx(0.125)
+
+
+def test_two_mixed_shaders_count_by_their_factor() -> None:
+    made = material("Half rusty", Metallic=1.0)
+    nodes, links = made.node_tree.nodes, made.node_tree.links
+    shader = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
+    other, mix = nodes.new("ShaderNodeBsdfPrincipled"), nodes.new("ShaderNodeMixShader")
+    other.inputs["Metallic"].default_value = 0.0
+    mix.inputs[0].default_value = 0.75
+    links.new(shader.outputs[0], mix.inputs[1])
+    links.new(other.outputs[0], mix.inputs[2])
+    links.new(mix.outputs[0], made.node_tree.nodes["Material Output"].inputs["Surface"])
+    assert stated_appearance(made).metallic == pytest.approx(0.25)
+
+
+def test_suggestions_rank_the_whole_library_and_leave_no_trace() -> None:
+    made = material("Old oak table")
+    touched(made)
+    before = datablock_names()
+    assert bpy.ops.hnf.suggest() == {"FINISHED"}
+    assert datablock_names() == before
+    ranked = STATE.suggestions["Old oak table"]
+    assert ranked[0].name == "oak-wood"
+    assert len(ranked) == len(load_library())
+    assert made.hnf_touch.library == ""  # it only suggests
+
+
+def test_suggest_says_what_is_missing() -> None:
+    with pytest.raises(RuntimeError, match="Select a mesh"):
+        bpy.ops.hnf.suggest()
+    bpy.context.view_layer.objects.active = add_plane()
+    with pytest.raises(RuntimeError, match="no material"):
+        bpy.ops.hnf.suggest()
+
+
+def test_a_choice_is_kept_in_the_file_until_it_is_taken_back(tmp_path) -> None:
+    touched(material("Seat"))
+    assert bpy.ops.hnf.material_choose(material="Seat", name="leather") == {"FINISHED"}
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "seat.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "seat.blend"))
+    assert bpy.data.materials["Seat"].hnf_touch.library == "leather"
+    assert bpy.ops.hnf.material_auto(material="Seat") == {"FINISHED"}
+    assert bpy.data.materials["Seat"].hnf_touch.library == ""
+
+
+def test_a_choice_makes_its_strokes_worth_a_look() -> None:
+    touched(material("Seat"))
+    bpy.ops.hnf.material_choose(material="Seat", name="leather")
+    assert "Seat" in STATE.dirty
+
+
+def test_unknown_names_are_refused() -> None:
+    touched(material("Seat"))
+    with pytest.raises(TypeError, match="enum"):
+        bpy.ops.hnf.material_choose(material="Seat", name="unobtainium")
+    with pytest.raises(RuntimeError, match="no material 'Chair'"):
+        bpy.ops.hnf.material_choose(material="Chair", name="leather")
+    with pytest.raises(RuntimeError, match="no material 'Chair'"):
+        bpy.ops.hnf.material_auto(material="Chair")
+
+
+def test_a_linked_material_is_left_alone(tmp_path) -> None:
+    touched(material("Seat"))
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "seat.blend"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(str(tmp_path / "seat.blend"), link=True) as (_, wanted):
+        wanted.materials = ["Seat"]
+    with pytest.raises(RuntimeError, match="linked from another file"):
+        bpy.ops.hnf.material_choose(material="Seat", name="leather")
+    assert bpy.data.materials["Seat"].hnf_touch.library == ""
+
+
+def test_the_searchable_list_is_the_library_grouped_by_category() -> None:
+    assert sorted(name for name, _, _ in LIBRARY) == sorted(material.name for material in load_library())
+    categories = [label.split(" ▸ ")[0] for _, label, _ in LIBRARY]
+    assert categories == sorted(categories)
+
+
+def test_a_stroke_may_have_a_material_of_its_own() -> None:
+    stroke = bpy.data.objects.new("Rub", bpy.data.curves.new("Rub", "CURVE"))
+    with pytest.raises(RuntimeError, match="stroke first"):
+        bpy.ops.hnf.stroke_material(name="felt" if any(n == "felt" for n, _, _ in LIBRARY) else LIBRARY[0][0])
+    bpy.context.scene.collection.objects.link(stroke)
+    stroke.hnf_stroke.is_stroke = True
+    assert bpy.ops.hnf.stroke_material(name=LIBRARY[0][0]) == {"FINISHED"}
+    assert stroke.hnf_stroke.material == LIBRARY[0][0]
+    assert bpy.ops.hnf.stroke_material_auto() == {"FINISHED"}
+    assert stroke.hnf_stroke.material == ""
+
+
+def test_the_object_that_is_felt() -> None:
+    plane = touched(material("Seat"))
+    assert felt_object(bpy.context) == plane
+    stroke = bpy.data.objects.new("Rub", bpy.data.curves.new("Rub", "CURVE"))
+    bpy.context.scene.collection.objects.link(stroke)
+    stroke.hnf_stroke.is_stroke = True
+    bpy.context.view_layer.objects.active = stroke
+    assert felt_object(bpy.context) is None
+    stroke.hnf_stroke.surface = plane
+    assert felt_object(bpy.context) == plane
