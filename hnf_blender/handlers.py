@@ -1,9 +1,94 @@
-"""Application handlers: they note what changed, and nothing else."""
+"""Application handlers: they note what changed, and nothing else. A timer looks at it later; only where there is a
+window."""
 
 from __future__ import annotations
 
+from typing import Any
 
-def register() -> None: ...
+from .bridge.temporary import SCENE_NAME
+from .state.session import STATE
+from .state.watch import EVERYTHING, drain, forget
+
+INTERVAL_S = 0.25
+TELLING = frozenset({"Object", "Mesh", "Curve", "Material", "Image", "Action", "Key"})
+"""Kinds of datablocks that a signal may follow from; node trees besides. A scene changes with everything."""
 
 
-def unregister() -> None: ...
+def note_changes(scene: Any, depsgraph: Any = None) -> None:
+    """depsgraph_update_post."""
+    if STATE.own or depsgraph is None or scene.name == SCENE_NAME:
+        return
+    for update in depsgraph.updates:
+        block = update.id
+        kind = block.bl_rna.identifier
+        if kind in TELLING or kind.endswith("NodeTree"):
+            STATE.dirty.add(block.name)
+            STATE.changes += 1
+
+
+def note_history(*_: Any) -> None:
+    """undo_post, redo_post: references are dead, and anything may be another."""
+    STATE.dirty.add(EVERYTHING)
+    STATE.changes += 1
+
+
+def leave_file(*_: Any) -> None:
+    """load_pre: a job belongs to the file that is left."""
+    from .jobs import current
+
+    current.cancel()
+
+
+def enter_file(*_: Any) -> None:
+    """load_post."""
+    forget()
+    STATE.clear()
+    STATE.dirty.add(EVERYTHING)
+    STATE.changes += 1
+
+
+def tick() -> float:
+    """Timer: look at what changed, unless the timeline plays."""
+    import bpy
+
+    from .state.redraw import redraw_tab
+
+    windows = bpy.context.window_manager.windows
+    if any(window.screen.is_animation_playing for window in windows):
+        return INTERVAL_S
+    if drain((window.scene, window.view_layer) for window in windows):
+        redraw_tab()
+    return INTERVAL_S
+
+
+HANDLERS = (
+    ("depsgraph_update_post", note_changes),
+    ("undo_post", note_history),
+    ("redo_post", note_history),
+    ("load_pre", leave_file),
+    ("load_post", enter_file),
+)
+
+
+def register() -> None:
+    import bpy
+
+    if bpy.app.background:
+        return
+    for name, handler in HANDLERS:
+        getattr(bpy.app.handlers, name).append(bpy.app.handlers.persistent(handler))
+    STATE.dirty.add(EVERYTHING)
+    bpy.app.timers.register(tick, first_interval=INTERVAL_S, persistent=True)
+
+
+def unregister() -> None:
+    import bpy
+
+    for name, handler in HANDLERS:
+        listed = getattr(bpy.app.handlers, name)
+        if handler in listed:
+            listed.remove(handler)
+    if bpy.app.timers.is_registered(tick):
+        bpy.app.timers.unregister(tick)
+    forget()
+    STATE.clear()

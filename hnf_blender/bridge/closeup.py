@@ -5,7 +5,7 @@ One Cycles sample a pixel, exactly at its centre, of the touched object alone; e
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -96,8 +96,41 @@ def render_closeups(
     Raises SceneError for a missing texture (naming object, material and image) and where there is no surface. The
     user's file is left as it was, also on errors.
     """
+    made = list(
+        iter_closeups(
+            obj,
+            patches,
+            surface=surface,
+            caster=caster,
+            pixels=pixels,
+            metres_per_unit=metres_per_unit,
+            frame=frame,
+        )
+    )
+    if samples and made:
+        from .picture import lit_pictures
+
+        pictures = lit_pictures(obj, [each.view.camera for each in made], samples, metres_per_unit, frame)
+        made = [
+            replace(each, view=replace(each.view, rgb=rgb), renders=each.renders + 1)
+            for each, rgb in zip(made, pictures, strict=True)
+        ]
+    return made
+
+
+def iter_closeups(
+    obj: Any,
+    patches: Sequence[Patch],
+    *,
+    surface: Surface | None = None,
+    caster: RayCaster | None = None,
+    pixels: int = 512,
+    metres_per_unit: float = 1.0,
+    frame: float | None = None,
+) -> Generator[CloseUp, None, None]:
+    """render_closeups, unlit, one after the other. Close it, or take all: the stage stands until then."""
     if not patches:
-        return []
+        return
     where = f"object '{obj.name}'"
     with Temporary() as temporary:
         prepare_cycles(temporary.scene, samples=1)
@@ -110,7 +143,6 @@ def render_closeups(
         add_aovs(temporary.view_layer, taps)
         camera_object = add_camera(temporary)
         temporary.scene.render.use_persistent_data = len(patches) > 1
-        made = []
         for patch in patches:
             side = pixels if _has_relief(readings[patch.slot]) else min(pixels, APPEARANCE_PIXELS)
             camera, rays = _unoccluded(patch, side, caster)
@@ -120,16 +152,7 @@ def render_closeups(
                 passes = render_passes(temporary)
             seen = cast_view(caster, surface.mesh, camera)
             scene = _Seen(patch, camera, seen, passes, readings[patch.slot], stage, metres_per_unit)
-            made.append(_closeup(scene, surface, rays + seen.depth.size))
-    if samples:
-        from .picture import lit_pictures
-
-        pictures = lit_pictures(obj, [each.view.camera for each in made], samples, metres_per_unit, frame)
-        made = [
-            replace(each, view=replace(each.view, rgb=rgb), renders=each.renders + 1)
-            for each, rgb in zip(made, pictures, strict=True)
-        ]
-    return made
+            yield _closeup(scene, surface, rays + seen.depth.size)
 
 
 def _has_relief(slot: SlotReading) -> bool:

@@ -102,6 +102,16 @@ def materials_of(evaluated: Any, mesh: Any) -> list[Any]:
     return [None if material is None else material.original for material in chosen]
 
 
+def slot_materials(obj: Any, depsgraph: Any) -> list[Any]:
+    """The user's materials (None = empty slot) by material index of an object's evaluated surface.
+
+    Raises SceneError where it has none.
+    """
+    evaluated = obj.original.evaluated_get(depsgraph)
+    with evaluated_mesh(evaluated, depsgraph) as mesh:
+        return materials_of(evaluated, mesh)
+
+
 @contextmanager
 def evaluated_mesh(evaluated: Any, depsgraph: Any) -> Iterator[Any]:
     """The mesh of an evaluated object in object space; taken back at the end.
@@ -139,9 +149,9 @@ def mesh_hash(obj: Any, depsgraph: Any, metres_per_unit: float) -> str:
     with evaluated_mesh(evaluated, depsgraph) as mesh:
         digest.update(np.array([len(mesh.vertices), len(mesh.loops), len(mesh.polygons)], dtype=np.int64).tobytes())
         digest.update(_read(mesh.vertices, "co", np.float32, 3).tobytes())
-        digest.update(_read(mesh.loops, "vertex_index", np.int32).tobytes())
+        digest.update(_corner_vertices(mesh).tobytes())
         digest.update(_read(mesh.polygons, "loop_start", np.int32).tobytes())
-        digest.update(_read(mesh.polygons, "material_index", np.int32).tobytes())
+        digest.update(_face_slots(mesh).tobytes())
         digest.update(_read(mesh.corner_normals, "vector", np.float32, 3).tobytes())
         uv = _uv(mesh)
         digest.update(b"" if uv is None else uv.tobytes())
@@ -235,6 +245,22 @@ def _uv(mesh: Any) -> NDArray[np.float32] | None:
     """(loops, 2) of the UV map that renders, or None."""
     layer = next((layer for layer in mesh.uv_layers if layer.active_render), None)
     return None if layer is None else _read(layer.uv, "vector", np.float32, 2)
+
+
+def _corner_vertices(mesh: Any) -> Int:
+    """(corners,) by attribute: twenty times faster than mesh.loops, which the window's own thread feels."""
+    attribute = mesh.attributes.get(".corner_vert")
+    if attribute is None:
+        return _read(mesh.loops, "vertex_index", np.int32)
+    return _read(attribute.data, "value", np.int32)
+
+
+def _face_slots(mesh: Any) -> Int:
+    """(faces,) material index, likewise; without the attribute all faces have the first slot."""
+    attribute = mesh.attributes.get("material_index")
+    if attribute is None or attribute.domain != "FACE" or attribute.data_type != "INT":
+        return _read(mesh.polygons, "material_index", np.int32)
+    return _read(attribute.data, "value", np.int32)
 
 
 def _read(collection: Any, name: str, dtype: Any, width: int = 1) -> NDArray[Any]:

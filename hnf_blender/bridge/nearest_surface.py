@@ -40,6 +40,8 @@ def nearest_surface(
         for obj in scene.objects
         if obj.type == "MESH" and obj != ignore and is_visible(obj, depsgraph.view_layer)
     ]
+    if len(boxes) == 1 and len(boxes[0][1].evaluated_get(depsgraph).data.polygons):
+        return boxes[0][1]  # nothing to compare with
     best, chosen = np.inf, None
     metres = points * metres_per_unit
     for box, obj in sorted(boxes, key=lambda pair: (pair[0], pair[1].name)):

@@ -38,14 +38,7 @@ class FaceTokens:
 
 def write_tokens(mesh: Any, tokens: FaceTokens) -> None:
     """Store tokens on mesh. Raises SceneError for a linked mesh, Edit Mode, or a face count that does not fit."""
-    if mesh.library is not None:
-        raise SceneError(
-            f"its mesh is linked from {mesh.library.filepath} and cannot be written.",
-            where=f"mesh '{mesh.name}'",
-            remedy="Make it local (Object > Relations > Make Local) to keep tokens on it; the signals are unharmed.",
-        )
-    if mesh.is_editmode:
-        raise SceneError("it is in Edit Mode.", where=f"mesh '{mesh.name}'", remedy="Leave Edit Mode and bake again.")
+    _check_writable(mesh)
     count = len(mesh.polygons)
     if not len(tokens.index) == len(tokens.roughness) == len(tokens.confidence) == count:
         raise SceneError(f"it has {count} faces, the bake has {len(tokens.index)}.", where=f"mesh '{mesh.name}'")
@@ -70,6 +63,39 @@ def read_tokens(mesh: Any) -> FaceTokens | None:
         confidence=_read(mesh, CONFIDENCE_ATTRIBUTE, np.float32),
         source=str(mesh[SOURCE_PROPERTY]),
     )
+
+
+def token_bytes(mesh: Any) -> int:
+    """How much write_tokens left on mesh."""
+    names = (TOKEN_ATTRIBUTE, ROUGHNESS_ATTRIBUTE, CONFIDENCE_ATTRIBUTE)
+    attributes = sum(4 * len(mesh.polygons) for name in names if name in mesh.attributes)
+    palette = mesh.get(PALETTE_PROPERTY)
+    return attributes + (len(palette) if isinstance(palette, bytes) else 0)
+
+
+def remove_tokens(mesh: Any) -> int:
+    """Take off mesh what write_tokens left; returns the bytes freed. Raises SceneError as write_tokens does."""
+    _check_writable(mesh)
+    freed = token_bytes(mesh)
+    for name in (TOKEN_ATTRIBUTE, ROUGHNESS_ATTRIBUTE, CONFIDENCE_ATTRIBUTE):
+        attribute = mesh.attributes.get(name)
+        if attribute is not None:
+            mesh.attributes.remove(attribute)
+    for name in (PALETTE_PROPERTY, SOURCE_PROPERTY, SCHEMA_PROPERTY):
+        if name in mesh:
+            del mesh[name]
+    return freed
+
+
+def _check_writable(mesh: Any) -> None:
+    if mesh.library is not None:
+        raise SceneError(
+            f"its mesh is linked from {mesh.library.filepath} and cannot be written.",
+            where=f"mesh '{mesh.name}'",
+            remedy="Make it local (Object > Relations > Make Local) to keep tokens on it; the signals are unharmed.",
+        )
+    if mesh.is_editmode:
+        raise SceneError("it is in Edit Mode.", where=f"mesh '{mesh.name}'", remedy="Leave Edit Mode and bake again.")
 
 
 def _write(mesh: Any, name: str, kind: str, values: NDArray[Any]) -> None:

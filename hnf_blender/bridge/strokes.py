@@ -71,8 +71,9 @@ class SceneStroke:
 
 
 def stroke_objects(scene: Any) -> list[Any]:
-    """The scene's strokes that are not muted, by name."""
+    """The scene's strokes that are heard, by name: those that are soloed where any is, else those not muted."""
     strokes = [obj for obj in scene.objects if obj.hnf_stroke.is_stroke and not obj.hnf_stroke.mute]
+    strokes = [obj for obj in strokes if getattr(obj.hnf_stroke, "solo", False)] or strokes
     return sorted(strokes, key=lambda obj: str(obj.name))
 
 
@@ -95,7 +96,6 @@ def read_stroke(
     surfaces = surfaces or (lambda touched: surface_mesh(touched, depsgraph, metres_per_unit))
     curve = read_curve(obj)
     target = _surface_object(obj, scene, depsgraph, curve, surfaces, metres_per_unit, where)
-    surface = surfaces(target)
     fps, base = float(scene.render.fps), float(scene.render.fps_base)
     start = float(group.start)
 
@@ -103,19 +103,19 @@ def read_stroke(
     place = _placements(obj, target, scene, depsgraph, np.array([start]), metres_per_unit, moving)[0]
     arc = by_arc_length(curve.transformed(place))
     force_channel, progress_channel = (read_channel(obj, name, scene) for name in ("force", "progress"))
-    law, duration = _law(group, arc.length, (force_channel, progress_channel), start, base / fps, where)
+    law, duration = law_of(group, arc.length, (force_channel, progress_channel), start, base / fps, where)
     time = time_grid(duration, rate, where=where)
     frames = np.array([seconds_to_frame(float(t), start, fps, base) for t in time])
     force, progress = sample_channels(obj, scene, (force_channel, progress_channel), frames)
     keyed, force = force, checked_force(force, frames, where=where, most=FORCE_MAX_N)
-    motion = _motion(group, law, checked_progress(progress, frames, where=where), time, arc.length, rate)
+    motion = motion_of(group, law, checked_progress(progress, frames, where=where), time, arc.length, rate)
     placements = _placements(obj, target, scene, depsgraph, frames, metres_per_unit, moving) if moving else None
     samples = _samples(curve, arc, placements, time, motion, force)
     deforming = None
     if may_deform(target):
         whole = np.arange(np.floor(frames[0]), np.ceil(frames[-1]) + 1.0)
         seconds = (whole - start) * base / fps
-        deforming = shape_over_time(target, scene, surface.mesh, whole, seconds, metres_per_unit)
+        deforming = shape_over_time(target, scene, surfaces(target).mesh, whole, seconds, metres_per_unit)
     notes: tuple[str, ...] = ()
     if keyed.max() > FORCE_MAX_N * 1.001:
         notes = (f"{where}: its force curve reaches {keyed.max():.3g} N and is held at {FORCE_MAX_N:g} N.",)
@@ -136,15 +136,24 @@ def read_stroke(
     )
 
 
-def stroke_hash(stroke: SceneStroke) -> str:
-    """Hash of everything of a stroke that shapes its signal, apart from the surface's own shape and materials."""
+def path_hash(stroke: SceneStroke) -> str:
+    """Hash of where a stroke goes and when, on which object: of all but force, seed, probe and material."""
     samples = stroke.samples
-    arrays = [samples.time, samples.point, samples.tangent, samples.position, samples.velocity, samples.force]
+    arrays = [samples.time, samples.point, samples.tangent, samples.position, samples.velocity]
     parts = [np.ascontiguousarray(array).tobytes() for array in arrays]
     if stroke.deforming is not None:
         parts += [np.ascontiguousarray(stroke.deforming.vertices).tobytes(), stroke.deforming.time.tobytes()]
-    facts = (stroke.object_name, str(stroke.seed), stroke.probe, stroke.material, str(samples.moving))
-    return content_hash(*facts, *parts)
+    return content_hash(stroke.object_name, str(samples.moving), *parts)
+
+
+def touch_hash(stroke: SceneStroke, seed: int) -> str:
+    """Hash of how a stroke presses: force, probe, and the seed it is given."""
+    return content_hash(np.ascontiguousarray(stroke.samples.force).tobytes(), str(seed), stroke.probe)
+
+
+def stroke_hash(stroke: SceneStroke) -> str:
+    """Hash of everything of a stroke that shapes its signal, apart from the surface's own shape and materials."""
+    return content_hash(path_hash(stroke), touch_hash(stroke, stroke.seed), stroke.material)
 
 
 def _surface_object(
@@ -195,7 +204,7 @@ def _placements(
     return np.asarray(placements)
 
 
-def _law(
+def law_of(
     group: Any, length_m: float, channels: tuple[Channel, Channel], start: float, frame_s: float, where: str
 ) -> tuple[str, float]:
     """Which law moves the hand, and how long the stroke lasts [s], from its start to the last thing keyed."""
@@ -215,7 +224,7 @@ def _law(
     )
 
 
-def _motion(group: Any, law: str, progress: Float, time: Float, length_m: float, rate: float) -> Motion:
+def motion_of(group: Any, law: str, progress: Float, time: Float, length_m: float, rate: float) -> Motion:
     if law == "PROGRESS":
         return motion_from_progress(progress, length_m, rate)
     if law == "SPEED":

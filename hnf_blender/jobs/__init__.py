@@ -2,8 +2,22 @@
 
 from __future__ import annotations
 
+import atexit
 
-def register() -> None: ...
+
+def register() -> None:
+    from .folder import remove_abandoned
+
+    remove_abandoned()
+    atexit.register(_stop)
 
 
-def unregister() -> None: ...
+def unregister() -> None:
+    atexit.unregister(_stop)
+    _stop()
+
+
+def _stop() -> None:
+    from .current import cancel
+
+    cancel()

@@ -55,11 +55,13 @@ class JobStatus:
 
 @dataclass(frozen=True)
 class LastJob:
-    """How the last job ended. ok False: message says what went wrong and what to do."""
+    """How the last job ended. ok False: message says what went wrong and what to do. written: how many strokes and
+    meshes got something all the same."""
 
     ok: bool
     message: str
     details: tuple[str, ...] = ()
+    written: int = 0
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,8 @@ class PlanView:
 @dataclass
 class SessionState:
     """strokes: by stroke object name. dirty: names of datablocks changed since their strokes were looked at.
-    suggestions: by Blender material name, the most apt first. diagnosis: (name, value) as last collected."""
+    suggestions: by Blender material name, the most apt first. diagnosis: (name, value) as last collected.
+    changes: counts what people changed, undo and redo included. own: above 0 while the add-on itself changes things."""
 
     strokes: dict[str, StrokeStatus] = field(default_factory=dict)
     dirty: set[str] = field(default_factory=set)
@@ -92,6 +95,8 @@ class SessionState:
     plan: PlanView | None = None
     suggestions: dict[str, tuple[Suggestion, ...]] = field(default_factory=dict)
     diagnosis: tuple[tuple[str, str], ...] = ()
+    changes: int = 0
+    own: int = 0
 
     def clear(self) -> None:
         """Forget everything: another file is open."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from hnf_core.tactile.height import tactile_map_from_height
 from hnf_core.tactile.optics import render_sensor_image, sensor_by_name
 from hnf_core.tactile.tactile_map import Route, TactileMap
 
-from ..bridge.closeup import CloseUp, render_closeups
+from ..bridge.closeup import CloseUp, iter_closeups
 from ..bridge.meshes import Surface, ray_caster
 from .report import Counts
 from .store import STORE_VERSION, PatchRecord, load_patch, save_patch
@@ -32,7 +33,8 @@ SENSOR = "gelsight"
 @dataclass(frozen=True)
 class TouchedObject:
     """An object as strokes of this run meet it. shape_hash: of its geometry. shader_hashes: by material slot.
-    place_hash: where its shaders look at the world, of its place in it, else "". frame: scene frame, None = still."""
+    place_hash: where its shaders look at the world, of its place in it, else "". frame: scene frame, None = still.
+    chosen: library materials that the artist named on the materials themselves, by slot, "" = none."""
 
     obj: Any
     surface: Surface
@@ -41,6 +43,7 @@ class TouchedObject:
     place_hash: str
     metres_per_unit: float
     frame: float | None = None
+    chosen: tuple[str, ...] = ()
 
 
 def patch_key(touched: TouchedObject, patch: Patch) -> str:
@@ -55,16 +58,17 @@ def patch_key(touched: TouchedObject, patch: Patch) -> str:
 
 def bake_patches(
     touched: TouchedObject, patches: Sequence[Patch], folder: Path, counts: Counts
-) -> tuple[PatchRecord, ...]:
+) -> Generator[float, None, tuple[PatchRecord, ...]]:
     """One record a patch; only what the store lacks is rendered, all of it on one stage.
 
-    Raises SceneError where a texture is missing. counts grows by the work done.
+    Yields after each render which share of them is done; each is stored at once, so that a run that is stopped has
+    not lost it. Raises SceneError where a texture is missing. counts grows by the work done.
     """
     keys = [patch_key(touched, patch) for patch in patches]
     found = {key: record for key in dict.fromkeys(keys) if (record := load_patch(folder, key)) is not None}
     missing = {key: patch for key, patch in zip(keys, patches, strict=True) if key not in found}
     if missing:
-        closeups = render_closeups(
+        closeups = iter_closeups(
             touched.obj,
             list(missing.values()),
             surface=touched.surface,
@@ -73,11 +77,13 @@ def bake_patches(
             metres_per_unit=touched.metres_per_unit,
             frame=touched.frame,
         )
-        for key, closeup in zip(missing, closeups, strict=True):
-            counts.renders += closeup.renders
-            counts.rays += closeup.rays
-            found[key] = _record(closeup, touched.surface, counts)
-            save_patch(folder, key, found[key])
+        with closing(closeups):
+            for done, (key, closeup) in enumerate(zip(missing, closeups, strict=True), 1):
+                counts.renders += closeup.renders
+                counts.rays += closeup.rays
+                found[key] = _record(closeup, touched.surface, counts)
+                save_patch(folder, key, found[key])
+                yield done / len(missing)
     return tuple(found[key] for key in keys)
 
 

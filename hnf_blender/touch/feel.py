@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from hnf_core.action.action import Action
 from hnf_core.action.contacts import Contacts, find_contacts, require_contact
 from hnf_core.action.patches import action_from_contacts, plan_patches
+from hnf_core.errors import MaterialError
 from hnf_core.field.field import Field
 from hnf_core.field.stroke import StrokeInput
 from hnf_core.field.stroke_profile import stroke_profile
@@ -118,18 +120,34 @@ class Felt:
 def bake_stroke(
     stroke: SceneStroke, touched: TouchedObject, choices: Mapping[int | None, str], folder: Path, counts: Counts
 ) -> BakedStroke:
-    """Where and what a stroke touches. choices: slot (None = any) → library material that the artist named.
+    """bake_stroke_steps, all of them."""
+    steps = bake_stroke_steps(stroke, touched, choices, folder, counts)
+    while True:
+        try:
+            next(steps)
+        except StopIteration as done:
+            return cast(BakedStroke, done.value)
 
-    Raises StrokeError where the stroke touches nothing, or never with force.
+
+def bake_stroke_steps(
+    stroke: SceneStroke, touched: TouchedObject, choices: Mapping[int | None, str], folder: Path, counts: Counts
+) -> Generator[float, None, BakedStroke]:
+    """Where and what a stroke touches. choices: slot (None = any) → library material named on the command line.
+
+    Yields which share of its renders is done. Raises StrokeError where the stroke touches nothing, or never with
+    force; MaterialError, before anything is rendered, where the artist names a material that does not exist.
     """
     where = f"stroke '{stroke.name}'"
     contacts = find_contacts(stroke.samples, stroke.surface(touched.surface.mesh), where=where)
     counts.rays += len(stroke.samples.time)
     require_contact(contacts, where=where, surface=stroke.object_name)
     patches, patch_index = plan_patches(contacts)
-    records = bake_patches(touched, patches, folder, counts)
+    slots = dict.fromkeys(patch.slot for patch in patches)
+    for slot in slots:
+        chosen_material(stroke, touched, slot, choices)
+    records = yield from bake_patches(touched, patches, folder, counts)
     materials = {}
-    for slot in dict.fromkeys(patch.slot for patch in patches):
+    for slot in slots:
         own = [record for patch, record in zip(patches, records, strict=True) if patch.slot == slot]
         materials[slot] = decide_material(stroke, touched, slot, choices, own)
     fused = tuple(
@@ -139,6 +157,29 @@ def bake_stroke(
     return BakedStroke(stroke, touched, contacts, patches, patch_index, records, fused, materials)
 
 
+def chosen_material(
+    stroke: SceneStroke, touched: TouchedObject, slot: int, choices: Mapping[int | None, str]
+) -> LibraryMaterial | None:
+    """The artist's own choice, None where there is none: of the command line, then the stroke's, then the material's.
+
+    Raises MaterialError that says where the unknown name was given, and what is close to it.
+    """
+    shader = _shader(touched, slot)
+    own = touched.chosen[slot] if slot < len(touched.chosen) else ""
+    asked = {
+        "--material": choices.get(slot) or choices.get(None) or "",
+        f"stroke '{stroke.name}'": stroke.material,
+        f"material '{shader}'": own,
+    }
+    for where, name in asked.items():
+        if name:
+            try:
+                return find(name)
+            except MaterialError as error:
+                raise MaterialError(error.what, where=where, remedy=error.remedy) from None
+    return None
+
+
 def decide_material(
     stroke: SceneStroke,
     touched: TouchedObject,
@@ -146,15 +187,19 @@ def decide_material(
     choices: Mapping[int | None, str],
     records: Sequence[PatchRecord],
 ) -> SlotMaterial:
-    """The artist's choice if there is one (command line, then the stroke's own), else the best-ranked material."""
-    surface = touched.surface
-    shader = surface.materials[slot] if slot < len(surface.materials) else ""
-    chosen = choices.get(slot) or choices.get(None) or stroke.material
-    if chosen:
-        return SlotMaterial(shader, find(chosen), 1.0, "chosen by the artist")
-    names = [shader, surface.object_name, touched.obj.data.name]
+    """The artist's choice if there is one, else the best-ranked material."""
+    shader = _shader(touched, slot)
+    chosen = chosen_material(stroke, touched, slot, choices)
+    if chosen is not None:
+        return SlotMaterial(shader, chosen, 1.0, "chosen by the artist")
+    names = [shader, touched.surface.object_name, touched.obj.data.name]
     best = rank(load_library(), mean_appearance(records), names)[0]
     return SlotMaterial(shader, find(best.name), best.confidence, best.reason)
+
+
+def _shader(touched: TouchedObject, slot: int) -> str:
+    materials = touched.surface.materials
+    return materials[slot] if slot < len(materials) else ""
 
 
 def feel(baked: BakedStroke, field: Field, seed: int, counts: Counts) -> Felt:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,11 +17,12 @@ from hnf_core.material.token import ENCODER_ID
 from ..bridge.boxes import is_visible, neighbours_hash_parts
 from ..bridge.hashes import material_hash
 from ..bridge.importers import size_warning
-from ..bridge.meshes import Surface, mesh_hash, surface_mesh
+from ..bridge.meshes import Surface, flush_edits, mesh_hash, slot_materials, surface_mesh
 from ..bridge.placement import default_slots, place_primitive
 from ..bridge.stage import looks_at_world
-from ..bridge.strokes import SceneStroke, read_stroke, stroke_hash, stroke_objects
+from ..bridge.strokes import SceneStroke, path_hash, read_stroke, stroke_objects, touch_hash
 from .bake import PATCH_PIXELS, SENSOR, TouchedObject
+from .inputs import Inputs
 from .report import Counts, Failed, Skipped
 from .store import STORE_VERSION
 from .targets import Target, resolve_target
@@ -34,12 +35,32 @@ class Job:
 
     name: str
     object_name: str
-    key: str
+    inputs: Inputs
     seed: int
     curve_name: str = ""
     primitive: Primitive | None = None
     slot: int | None = None
     stroke: SceneStroke | None = None
+
+    @property
+    def key(self) -> str:
+        return self.inputs.key
+
+    @property
+    def path_key(self) -> str:
+        return self.inputs.path_key
+
+
+@dataclass(frozen=True)
+class SurfaceFacts:
+    """What the plan knows of an object without a triangle of it. materials: names by slot; chosen: library materials
+    named on them. shape_hash, shader_hashes, place_hash: see TouchedObject."""
+
+    materials: tuple[str, ...]
+    chosen: tuple[str, ...]
+    shape_hash: str
+    shader_hashes: tuple[str, ...]
+    place_hash: str
 
 
 @dataclass
@@ -61,12 +82,13 @@ class Session:
         self.scene, self.view_layer, self.metres_per_unit, self.request = scene, view_layer, metres_per_unit, request
         self._surfaces: dict[str, Surface] = {}
         self._touched: dict[str, TouchedObject] = {}
+        self._facts: dict[str, SurfaceFacts] = {}
         self._choices = [
             (resolve_target(scene, choice.target), find(choice.material).name) for choice in request.choices
         ]
         library = content_hash(LIBRARY_PATH.read_bytes())
         made_by = f"{__version__} {PATCH_PIXELS} {SENSOR} {STORE_VERSION}"
-        self._common = content_hash(field_id, library, ENCODER_ID, made_by)
+        self._made_by = content_hash(field_id, library, ENCODER_ID, made_by)
 
     @property
     def depsgraph(self) -> Any:
@@ -82,27 +104,54 @@ class Session:
     def touched(self, obj: Any) -> TouchedObject:
         """Raises SceneError where obj is hidden or has no surface."""
         if obj.name not in self._touched:
+            facts = self.facts(obj)
+            self._touched[obj.name] = TouchedObject(
+                obj=obj,
+                surface=self.surface(obj),
+                shape_hash=facts.shape_hash,
+                shader_hashes=facts.shader_hashes,
+                place_hash=facts.place_hash,
+                metres_per_unit=self.metres_per_unit,
+                chosen=facts.chosen,
+            )
+        return self._touched[obj.name]
+
+    def facts(self, obj: Any) -> SurfaceFacts:
+        """Raises SceneError where obj is hidden or has no surface."""
+        if obj.name not in self._facts:
             if not is_visible(obj, self.view_layer):
                 raise SceneError(
                     "it is hidden.", where=f"object '{obj.name}'", remedy="Show it in the viewport and in renders."
                 )
-            surface = self.surface(obj)
-            slots = [slot.material for slot in obj.material_slots]
+            flush_edits(obj)
+            slots = slot_materials(obj, self.depsgraph)
             worldly = looks_at_world(obj, [material for material in slots if material is not None])
-            place = repr([list(row) for row in obj.matrix_world]) if worldly else ""
-            self._touched[obj.name] = TouchedObject(
-                obj=obj,
-                surface=surface,
+            self._facts[obj.name] = SurfaceFacts(
+                materials=tuple("" if material is None else material.name for material in slots),
+                chosen=tuple("" if material is None else material.hnf_touch.library for material in slots),
                 shape_hash=mesh_hash(obj, self.depsgraph, self.metres_per_unit),
                 shader_hashes=tuple(material_hash(material) for material in slots),
-                place_hash=place,
-                metres_per_unit=self.metres_per_unit,
+                place_hash=repr([list(row) for row in obj.matrix_world]) if worldly else "",
             )
-        return self._touched[obj.name]
+        return self._facts[obj.name]
+
+    def knows(self, obj: Any) -> bool:
+        """Are its facts there already?"""
+        return obj.name in self._facts
+
+    def forget(self, names: set[str]) -> None:
+        """These objects changed: look at them again."""
+        for kept in (self._surfaces, self._touched, self._facts):
+            for name in names & kept.keys():
+                del kept[name]
 
     def choices(self, object_name: str) -> dict[int | None, str]:
         """Slot (None = whole object) → the artist's library material, the last word winning."""
         return {target.slot: material for target, material in self._choices if target.object_name == object_name}
+
+    def surface_key(self, obj: Any) -> str:
+        """Hash of all that tokens on obj follow from, apart from what single strokes ask for."""
+        return self._inputs(obj.name, "", "", "").surface_key
 
     def seed(self, own: int) -> int:
         return own if self.request.seed is None else self.request.seed
@@ -121,34 +170,39 @@ class Session:
 
     def job_of_curve(self, curve: Any) -> Job:
         stroke = self.read(curve)
-        touched = self.touched(self.scene.objects[stroke.object_name])
         seed = self.seed(stroke.seed)
-        key = self._key(touched, "curve", stroke_hash(stroke), str(seed))
-        return Job(curve.name, stroke.object_name, key, seed, curve_name=curve.name, stroke=stroke)
+        inputs = self._inputs(stroke.object_name, stroke.material, path_hash(stroke), touch_hash(stroke, seed))
+        return Job(curve.name, stroke.object_name, inputs, seed, curve_name=curve.name, stroke=stroke)
 
     def job_to_place(self, name: str, target: Target, primitive: Primitive) -> Job:
-        touched = self.touched(self.scene.objects[target.object_name])
-        seed = self.seed(0)
-        around = neighbours_hash_parts(touched.obj, self.scene, self.depsgraph, self.metres_per_unit)
-        key = self._key(touched, "placed", f"{primitive.name} {target.slot} {seed}", *around)
-        return Job(name, target.object_name, key, seed, primitive=primitive, slot=target.slot)
+        obj, seed = self.scene.objects[target.object_name], self.seed(0)
+        around = neighbours_hash_parts(obj, self.scene, self.depsgraph, self.metres_per_unit)
+        path = content_hash("placed", primitive.name, str(target.slot), *around)
+        inputs = self._inputs(obj.name, "", path, content_hash(str(seed)))
+        return Job(name, obj.name, inputs, seed, primitive=primitive, slot=target.slot)
 
-    def _key(self, touched: TouchedObject, *parts: str) -> str:
-        surface = touched.surface
-        choices = repr(sorted(self.choices(surface.object_name).items(), key=repr))
-        return content_hash(
-            self._common, f"{self.metres_per_unit!r}", touched.shape_hash, *touched.shader_hashes, touched.place_hash,
-            surface.object_name, touched.obj.data.name, *surface.materials, choices, *parts,
-        )  # fmt: skip
+    def _inputs(self, object_name: str, material: str, path: str, touch: str) -> Inputs:
+        """material: that the stroke itself asks for."""
+        obj = self.scene.objects[object_name]
+        facts = self.facts(obj)
+        choices = repr(sorted(self.choices(object_name).items(), key=repr))
+        names = (object_name, obj.data.name, *facts.materials)
+        return Inputs(
+            made_by=self._made_by,
+            scale=repr(self.metres_per_unit),
+            shape=facts.shape_hash,
+            shading=content_hash(facts.place_hash, *facts.shader_hashes, *names),
+            choices=content_hash(choices, material, *facts.chosen),
+            path=path,
+            touch=touch,
+        )
 
 
 def gather(session: Session) -> Gathered:
     """The scene's own strokes and those asked for; with neither, one on every touchable material. One stroke that
     cannot be read does not lose the others."""
-    found = Gathered()
     request, scene = session.request, session.scene
-    for curve in stroke_objects(scene):
-        _try(found, curve.name, lambda curve=curve: session.job_of_curve(curve))
+    found = gather_curves(session, stroke_objects(scene))
     for placement in request.placements:
         name = _unique(f"{placement.primitive.name} on {placement.target}", found)
         _try(
@@ -171,11 +225,24 @@ def gather(session: Session) -> Gathered:
             raise SceneError(
                 "it shows no mesh with faces.", where=f"scene '{scene.name}'", remedy="Unhide or add one to touch."
             )
+    look_around(session, found)
+    return found
+
+
+def gather_curves(session: Session, curves: Iterable[Any]) -> Gathered:
+    """Jobs of these stroke objects."""
+    found = Gathered()
+    for curve in curves:
+        _try(found, curve.name, lambda curve=curve: session.job_of_curve(curve))
+    return found
+
+
+def look_around(session: Session, found: Gathered) -> None:
+    """Say what the jobs leave out, and which of their surfaces have a size that no hand would meet."""
     found.skipped += list(_left_out(session, {job.object_name for job in found.jobs}))
     for name in dict.fromkeys(job.object_name for job in found.jobs):
-        warning = size_warning(scene.objects[name], session.metres_per_unit)
+        warning = size_warning(session.scene.objects[name], session.metres_per_unit)
         found.notes += [warning] if warning else []
-    return found
 
 
 def _try(found: Gathered, name: str, make: Any) -> None:
@@ -197,11 +264,15 @@ def _left_out(session: Session, touched: set[str]) -> Iterator[Skipped]:
     others = [obj for obj in session.scene.objects if obj.type == "MESH" and obj.name not in touched]
     hidden = [obj.name for obj in others if not is_visible(obj, session.view_layer)]
     free = [obj.name for obj in others if obj.name not in set(hidden)]
-    muted = [obj.name for obj in session.scene.objects if obj.hnf_stroke.is_stroke and obj.hnf_stroke.mute]
+    strokes = [obj for obj in session.scene.objects if obj.hnf_stroke.is_stroke]
+    heard = {obj.name for obj in stroke_objects(session.scene)}
+    muted = [obj.name for obj in strokes if obj.hnf_stroke.mute]
+    unsoloed = [obj.name for obj in strokes if not obj.hnf_stroke.mute and obj.name not in heard]
     for names, kind, why in (
         (free, "object", "no stroke touches it"),
         (hidden, "object", "hidden"),
         (muted, "stroke", "muted"),
+        (unsoloed, "stroke", "another stroke is soloed"),
     ):
         if len(names) > 8:
             yield Skipped(f"{len(names)} {kind}s ({', '.join(names[:3])}, …)", why)

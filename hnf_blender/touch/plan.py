@@ -10,6 +10,12 @@ from .report import Failed, Skipped
 
 CLOSEUP_SECONDS, PICTURE_SECONDS, SYNTHESIS_SECONDS = 0.7, 3.0, 0.5
 """Rough cost on two cores, for the estimate only."""
+TYPICAL_PATH_M, PATCH_PITCH_M = 60e-3, 10e-3
+
+
+def patches_at_most(length_m: float) -> int:
+    """Upper bound of the close-ups that a stroke of this length takes."""
+    return int(length_m / PATCH_PITCH_M) + 1
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ import contextlib
 import signal
 import sys
 import time
-import traceback
 from collections.abc import Generator, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -14,23 +13,22 @@ from typing import Any
 
 from hnf_core.cli.progress import Progress, ProgressBar
 from hnf_core.cli.touch import TouchRequest
-from hnf_core.errors import FileError, HnfError
+from hnf_core.errors import FileError
 from hnf_core.field.weights import load_field
 from hnf_core.files import content_hash
 
 from ..bridge.importers import metres_per_unit, open_scene
-from .bake import TouchedObject
 from .deliver import deliver, save_baked
-from .feel import BakedStroke, bake_stroke, feel
+from .feel import BakedStroke, feel
 from .jobs import Gathered, Job, Session, gather
 from .lock import folder_lock
-from .plan import Fresh, Needed, Plan
-from .report import Failed, Report, StrokeReport, earlier_strokes
+from .plan import TYPICAL_PATH_M, Fresh, Needed, Plan, patches_at_most
+from .report import Report, StrokeReport, earlier_strokes
+from .steps import bake_steps, timed
 from .tokens import store_tokens
 from .view import Views
 
 CACHE_NAME = "cache"
-TYPICAL_PATH_M, PATCH_PITCH_M = 60e-3, 10e-3
 
 
 def run(request: TouchRequest) -> int:
@@ -73,48 +71,50 @@ def touch_steps(
             report.warn(f"stroke '{stroke.name}': {warning}")
     if found.jobs and len(fresh) == len(found.jobs) and baked_path.is_file():
         return
-    baked: list[BakedStroke] = []
-    total = len(found.jobs) + 1
     views = Views(session.scene, lambda: session.depsgraph, session.metres_per_unit, report.counts)
-    for done, job in enumerate(found.jobs):
-        yield Progress(job.name, done, total)
-        try:
-            with _timed(report, "bake_s"):
-                described = _bake(session, job, report)
-            baked.append(described)
-            if job.key not in fresh:
-                yield Progress(f"{job.name}: synthesis", done, total)
-                report.strokes.append(_feel(session, job, described, views, report))
-        except HnfError as error:
-            report.failed.append(Failed(job.name, str(error)))
-        except KeyboardInterrupt:
-            report.failed += [Failed(left.name, "stopped before it was finished.") for left in found.jobs[done:]]
-            raise
-        except Exception as error:  # a fault of ours: the other strokes are still delivered
-            traceback.print_exc()
-            report.failed.append(Failed(job.name, f"{job.name}: internal error ({error!r}). Please report it."))
-        report.write(folder)
-    yield Progress("saving", total - 1, total)
+
+    def each(job: Job, described: BakedStroke) -> Iterator[str]:
+        if job.key not in fresh:
+            yield "synthesis"
+            report.strokes.append(_feel(session, job, described, views, report))
+
+    baked = yield from _written(bake_steps(session, found.jobs, folder / CACHE_NAME, report, each), report, folder)
     if baked:
-        with _timed(report, "save_s"):
+        with timed(report, "save_s"):
             for warning in store_tokens(baked):
                 report.warn(warning)
             save_baked(baked_path)
+
+
+def _written(
+    steps: Generator[Progress, None, tuple[BakedStroke, ...]], report: Report, folder: Path
+) -> Generator[Progress, None, tuple[BakedStroke, ...]]:
+    """The same steps; the report is on disk after every stroke."""
+    done = 0
+    with contextlib.closing(steps):
+        while True:
+            try:
+                progress = next(steps)
+            except StopIteration as finished:
+                return finished.value  # type: ignore[no-any-return]  # what the generator declares
+            if progress.done != done:
+                done = progress.done
+                report.write(folder)
+            yield progress
 
 
 def make_plan(session: Session, found: Gathered, earlier: dict[str, StrokeReport]) -> Plan:
     """Nothing is rendered and no ray is cast for it."""
     needed, fresh = [], []
     for job in found.jobs:
-        touched = session.touched(session.scene.objects[job.object_name])
         if _is_fresh(job, earlier, session.request.out):
             fresh.append(Fresh(job.name, job.object_name, earlier[job.key].wav))
             continue
         length = TYPICAL_PATH_M if job.stroke is None else job.stroke.length_m
-        slots = touched.surface.materials
+        slots = session.facts(session.scene.objects[job.object_name]).materials
         shader = slots[job.slot] if job.slot is not None and job.slot < len(slots) else ", ".join(slots)
         why = "changed since the last run" if _has_name(earlier, job.name) else "not baked yet"
-        needed.append(Needed(job.name, job.object_name, shader, int(length / PATCH_PITCH_M) + 1, why))
+        needed.append(Needed(job.name, job.object_name, shader, patches_at_most(length), why))
     return Plan(tuple(needed), tuple(fresh), tuple(found.skipped), tuple(found.failed), tuple(found.notes))
 
 
@@ -179,28 +179,12 @@ def _has_name(earlier: dict[str, StrokeReport], name: str) -> bool:
     return any(stroke.name == name for stroke in earlier.values())
 
 
-def _bake(session: Session, job: Job, report: Report) -> BakedStroke:
-    stroke = job.stroke
-    if stroke is None:
-        obj = session.scene.objects[job.object_name]
-        with _timed(report, "place_s"):
-            curve = session.place(obj, job, report.counts)
-        stroke = session.read(curve)
-    touched: TouchedObject = session.touched(session.scene.objects[stroke.object_name])
-    baked = bake_stroke(
-        stroke, touched, session.choices(stroke.object_name), session.request.out / CACHE_NAME, report.counts
-    )
-    for note in baked.notes:
-        report.warn(note)
-    return baked
-
-
 def _feel(session: Session, job: Job, baked: BakedStroke, views: Views, report: Report) -> StrokeReport:
-    with _timed(report, "synthesis_s"):
+    with timed(report, "synthesis_s"):
         felt = feel(baked, load_field(), job.seed, report.counts)
     for warning in felt.warnings:
         report.warn(f"stroke '{job.name}': {warning}")
-    with _timed(report, "picture_s"):
+    with timed(report, "picture_s"):
         view, notes = views.of_stroke(baked.contacts, baked.touched.surface, baked.touched.obj)
         for note in notes:
             report.warn(note)
@@ -226,15 +210,6 @@ def _tell(report: Report, request: TouchRequest) -> int:
     for failed in report.failed:
         print(f"hnf: {failed.why}", file=sys.stderr)
     return 1 if report.failed else 0
-
-
-@contextlib.contextmanager
-def _timed(report: Report, name: str) -> Iterator[None]:
-    start = time.monotonic()
-    try:
-        yield
-    finally:
-        report.timings[name] = round(report.timings.get(name, 0.0) + time.monotonic() - start, 3)
 
 
 @contextlib.contextmanager

@@ -13,15 +13,22 @@ from hnf_core.material.palette import Palette, build_palette
 from hnf_core.material.token import LEVELS
 
 from ..bridge.storage import UNBAKED, FaceTokens, read_tokens, write_tokens
+from .bake import TouchedObject
 from .feel import BakedStroke
+from .jobs import SurfaceFacts
+
+
+def by_mesh(strokes: Sequence[BakedStroke]) -> list[list[BakedStroke]]:
+    """The strokes in groups that touch one mesh."""
+    groups: dict[str, list[BakedStroke]] = {}
+    for stroke in strokes:
+        groups.setdefault(stroke.touched.obj.data.name_full, []).append(stroke)
+    return list(groups.values())
 
 
 def store_tokens(strokes: Sequence[BakedStroke]) -> Iterator[str]:
     """Write every touched mesh once; yields a warning for each that cannot be written."""
-    by_mesh: dict[str, list[BakedStroke]] = {}
-    for stroke in strokes:
-        by_mesh.setdefault(stroke.touched.obj.data.name_full, []).append(stroke)
-    for group in by_mesh.values():
+    for group in by_mesh(strokes):
         obj = group[0].touched.obj
         if obj.type != "MESH":
             yield f"object '{obj.name}' has no mesh of its own: its tokens are not stored in the .blend."
@@ -35,7 +42,7 @@ def store_tokens(strokes: Sequence[BakedStroke]) -> Iterator[str]:
 def face_tokens(mesh: Any, strokes: Sequence[BakedStroke]) -> FaceTokens:
     """Faces under the strokes' patches get their patch's token; of overlapping patches the last wins. Tokens that an
     earlier bake left on the other faces stay as long as the mesh and its shaders are what they were then."""
-    source = content_hash(*(part for stroke in strokes[:1] for part in _source(stroke)))
+    source = surface_source(strokes[0].touched)
     earlier = _still_true(mesh, source)
     count = len(mesh.polygons)
     index = np.full(count, UNBAKED, dtype=np.int32)
@@ -74,5 +81,6 @@ def _still_true(mesh: Any, source: str) -> FaceTokens | None:
     return earlier if earlier is not None and earlier.source == source else None
 
 
-def _source(stroke: BakedStroke) -> tuple[str, ...]:
-    return (stroke.touched.shape_hash, *stroke.touched.shader_hashes, stroke.touched.place_hash)
+def surface_source(surface: TouchedObject | SurfaceFacts) -> str:
+    """Hash of what a surface's tokens are measured from."""
+    return content_hash(surface.shape_hash, *surface.shader_hashes, surface.place_hash)

@@ -10,11 +10,12 @@ from typing import TextIO
 
 @dataclass(frozen=True)
 class Progress:
-    """stage: what is being done now. done of total: steps finished."""
+    """stage: what is being done now. done of total: steps finished. share: of the step being done, 0 … 1."""
 
     stage: str
     done: int
     total: int
+    share: float = 0.0
 
 
 class ProgressBar:
@@ -30,7 +31,7 @@ class ProgressBar:
     def show(self, progress: Progress) -> None:
         if not self._active:
             return
-        share = progress.done / max(1, progress.total)
+        share = (progress.done + progress.share) / max(1, progress.total)
         filled = round(self.WIDTH * share)
         elapsed = time.monotonic() - self._start
         left = f", {elapsed / share - elapsed:.0f} s left" if 0 < share < 1 else ""

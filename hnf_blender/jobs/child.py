@@ -1,0 +1,117 @@
+"""The child process: started, listened to by a thread, killed with everything it started."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+from collections import deque
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from hnf_core.errors import FileError
+
+from .messages import Broken, Message, decode
+
+WORKER = Path(__file__).with_name("worker.py")
+LAST_LINES = 12
+DEATH_S = 0.3
+"""How long a killed process may take to be gone; the folder is removed then at any rate."""
+
+
+class Child:
+    """A Blender of its own at work on one job's folder."""
+
+    def __init__(self, folder: Path) -> None:
+        """Raises FileError where it cannot be started."""
+        self._messages: queue.SimpleQueue[Message] = queue.SimpleQueue()
+        self._said: deque[str] = deque(maxlen=LAST_LINES)
+        own_group: dict[str, Any] = {"creationflags": 0x200} if sys.platform == "win32" else {"start_new_session": True}
+        try:
+            self._process: subprocess.Popen[bytes] = subprocess.Popen(
+                command(folder),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                cwd=folder,
+                **own_group,
+            )
+        except OSError as error:
+            raise FileError(
+                f"a second Blender could not be started ({error.strerror}).",
+                where=command(folder)[0],
+                remedy="Bake in the background instead: blender -b FILE --command hnf touch --out DIR",
+            ) from error
+        self._reader = threading.Thread(target=self._read, name="hnf bake reader", daemon=True)
+        self._reader.start()
+
+    @property
+    def pid(self) -> int:
+        return int(self._process.pid)
+
+    @property
+    def last_lines(self) -> tuple[str, ...]:
+        """The end of what it printed apart from messages."""
+        return tuple(self._said)
+
+    def messages(self) -> Iterator[Message]:
+        """Those that came since the last call; never waits."""
+        while True:
+            try:
+                yield self._messages.get_nowait()
+            except queue.Empty:
+                return
+
+    def exit_code(self) -> int | None:
+        """None while it lives or its last words are still being read; below 0: the signal that killed it."""
+        code = self._process.poll()
+        return None if code is None or self._reader.is_alive() else code
+
+    def kill(self) -> None:
+        """End it and all that it started, now."""
+        with contextlib.suppress(OSError):
+            if sys.platform == "win32":
+                subprocess.run(["taskkill", "/F", "/T", "/PID", str(self.pid)], capture_output=True, timeout=5)
+            else:
+                os.killpg(self.pid, signal.SIGKILL)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(DEATH_S)
+        self._close()
+
+    def _close(self) -> None:
+        self._reader.join(DEATH_S)
+        for stream in (self._process.stdin, self._process.stdout):
+            if stream is not None:
+                with contextlib.suppress(OSError):
+                    stream.close()
+
+    def _read(self) -> None:
+        stream = self._process.stdout
+        if stream is None:
+            return
+        with contextlib.suppress(OSError, ValueError):
+            for raw in stream:
+                line = raw.decode("utf-8", "replace").strip()
+                try:
+                    message = decode(line)
+                except FileError as error:
+                    message = Broken(str(error))
+                if message is not None:
+                    self._messages.put(message)
+                elif line:
+                    self._said.append(line)
+
+
+def command(folder: Path) -> Sequence[str]:
+    """The words that start a child: this very Blender, or this Python with the bpy module."""
+    import bpy
+
+    binary = bpy.app.binary_path
+    if not binary:
+        return [sys.executable, str(WORKER), str(folder)]
+    return [binary, "-b", "--factory-startup", "-noaudio", "--python", str(WORKER), "--", str(folder)]

@@ -1,0 +1,75 @@
+"""One folder a job, named after the process that owns it: what a crashed Blender leaves is found by the next."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+from hnf_core.errors import FileError
+
+PREFIX = "hnf-job-"
+
+
+def job_root() -> Path:
+    return Path(tempfile.gettempdir())
+
+
+def new_folder() -> Path:
+    """A fresh, private folder of this process. Raises FileError where the disk refuses."""
+    try:
+        return Path(tempfile.mkdtemp(prefix=f"{PREFIX}{os.getpid()}-", dir=job_root()))
+    except OSError as error:
+        raise FileError(
+            f"no temporary folder can be made ({error.strerror}).",
+            where=str(job_root()),
+            remedy="Free some disk space, or set another temporary folder for the system.",
+        ) from error
+
+
+def remove_folder(folder: Path) -> None:
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def remove_abandoned() -> list[Path]:
+    """Remove the folders of processes that are gone; returns them."""
+    gone = []
+    for folder in job_root().glob(f"{PREFIX}*"):
+        owner = re.match(rf"{PREFIX}(\d+)-", folder.name)
+        if owner and not is_alive(int(owner.group(1))):
+            remove_folder(folder)
+            gone.append(folder)
+    return gone
+
+
+def is_alive(pid: int) -> bool:
+    """Does a process of this number run? A zombie does not."""
+    if sys.platform == "win32":
+        return _is_alive_on_windows(pid)
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (OSError, IndexError):  # no /proc here
+        return True
+
+
+def _is_alive_on_windows(pid: int) -> bool:
+    import ctypes
+
+    query, still_active = 0x1000, 259
+    kernel = ctypes.windll.kernel32  # type: ignore[attr-defined,unused-ignore]
+    handle = kernel.OpenProcess(query, False, pid)
+    if not handle:
+        return False
+    code = ctypes.c_ulong()
+    kernel.GetExitCodeProcess(handle, ctypes.byref(code))
+    kernel.CloseHandle(handle)
+    return code.value == still_active

@@ -1,0 +1,58 @@
+"""The job as the child process does it: open the copy, work, tell."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import traceback
+from pathlib import Path
+
+from hnf_core.errors import HnfError
+
+from ..bridge.quiet import quiet
+from .messages import Broken, Finished, Message, Step, encode
+from .order import SCENE_NAME, read_order, write_result
+from .work import work_steps
+
+NICENESS = 5
+"""The person's own Blender comes first."""
+
+
+def run(folder: Path) -> int:
+    """Do the order in folder; returns the exit code. Never raises: what goes wrong is said."""
+    import bpy
+
+    with contextlib.suppress(AttributeError, OSError):
+        os.nice(NICENESS)
+    # Our own copy of the stream: whatever is redirected or held back meanwhile, messages pass.
+    stream = os.dup(1)
+
+    def say(message: Message) -> None:
+        # A new line first: Blender may have stopped in the middle of its own.
+        os.write(stream, f"\n{encode(message)}\n".encode())
+
+    try:
+        order = read_order(folder)
+        say(Step("opening the copy", 0, 1))
+        if not hasattr(bpy.types.Object, "hnf_stroke"):
+            from .. import props
+
+            props.register()
+        with quiet():
+            bpy.ops.wm.open_mainfile(filepath=str(folder / SCENE_NAME), load_ui=False, use_scripts=order.use_scripts)
+        steps = work_steps(order, folder)
+        while True:
+            try:
+                say(next(steps))
+            except StopIteration as done:
+                write_result(folder, done.value)
+                break
+        say(Finished())
+        return 0
+    except HnfError as error:
+        say(Broken(str(error)))
+    except Exception as error:
+        traceback.print_exc(file=sys.stderr)
+        say(Broken(f"internal error ({error!r}). Please report it."))
+    return 1

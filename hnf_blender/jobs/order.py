@@ -1,0 +1,129 @@
+"""What a job is asked for, and what it leaves in its folder."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hnf_core.errors import FileError
+from hnf_core.files import write_text
+from hnf_core.material.palette import Palette
+
+from ..bridge.storage import FaceTokens
+from ..touch.inputs import Inputs
+from .records import from_text, to_text
+
+ORDER_NAME, RESULT_NAME, SCENE_NAME = "order.json", "result.json", "scene.blend"
+
+
+@dataclass(frozen=True)
+class Order:
+    """scene, view_layer: by name. only: names of the strokes to bake, empty = all that are not muted. cache: folder of
+    the patches' records. package, package_folder, sys_path: how the child finds this very code. use_scripts: may
+    scripts in the file run, as the person has set it."""
+
+    scene: str
+    view_layer: str
+    only: tuple[str, ...]
+    cache: str
+    package: str
+    package_folder: str
+    sys_path: tuple[str, ...]
+    use_scripts: bool
+
+
+@dataclass(frozen=True)
+class BakedFile:
+    """A stroke's bake as bytes in a file. stroke: its name when the job began. inputs: what it was made from."""
+
+    stroke: str
+    file: str
+    inputs: Inputs
+
+
+@dataclass(frozen=True)
+class TokenFile:
+    """Tokens of one mesh in a file. object_name: an object that has the mesh. surface_key: what they were made from.
+    strokes: that lead over it."""
+
+    object_name: str
+    surface_key: str
+    strokes: tuple[str, ...]
+    file: str
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """what: stroke or mesh that got nothing. why: in words, with what to do."""
+
+    what: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Result:
+    """All that a job made. fresh: how many strokes needed nothing. renders: close-ups made."""
+
+    strokes: tuple[BakedFile, ...]
+    meshes: tuple[TokenFile, ...]
+    failed: tuple[Refusal, ...]
+    warnings: tuple[str, ...]
+    fresh: int
+    renders: int
+
+
+def write_order(folder: Path, order: Order) -> None:
+    write_text(folder / ORDER_NAME, to_text(order))
+
+
+def read_order(folder: Path) -> Order:
+    return from_text(Order, _text(folder / ORDER_NAME), where=ORDER_NAME)
+
+
+def write_result(folder: Path, result: Result) -> None:
+    """The last thing that a job does: where it lies, everything it names lies too."""
+    write_text(folder / RESULT_NAME, to_text(result))
+
+
+def read_result(folder: Path) -> Result:
+    return from_text(Result, _text(folder / RESULT_NAME), where=RESULT_NAME)
+
+
+def pack_tokens(tokens: FaceTokens) -> bytes:
+    """Equal tokens, equal bytes; no pickle."""
+    packed = io.BytesIO()
+    np.savez(
+        packed,
+        palette=np.frombuffer(tokens.palette.to_bytes(), np.uint8),
+        index=tokens.index,
+        roughness=tokens.roughness,
+        confidence=tokens.confidence,
+        source=np.array(tokens.source),
+    )
+    return packed.getvalue()
+
+
+def unpack_tokens(data: bytes) -> FaceTokens:
+    """Raises FileError where data are not what pack_tokens made."""
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+            return FaceTokens(
+                palette=Palette.from_bytes(arrays["palette"].tobytes()),
+                index=arrays["index"].astype(np.int32),
+                roughness=arrays["roughness"].astype(np.float32),
+                confidence=arrays["confidence"].astype(np.float32),
+                source=str(arrays["source"]),
+            )
+    except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile) as error:
+        raise FileError(f"the tokens are damaged ({error}).", where="job folder", remedy="Bake again.") from error
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileError(f"it cannot be read ({error}).", where=path.name, remedy="Bake again.") from error

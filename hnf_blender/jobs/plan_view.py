@@ -1,0 +1,68 @@
+"""What a bake of this scene would do, for the Scene panel: nothing is rendered and no ray is cast for it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ..bridge.storage import token_bytes
+from ..bridge.strokes import stroke_objects
+from ..state.session import STATE, Freshness, PlanLine, PlanView, StrokeStatus
+from ..touch.jobs import Gathered, Job, Session, gather_curves, look_around
+from ..touch.plan import CLOSEUP_SECONDS, SYNTHESIS_SECONDS, patches_at_most
+from ..touch.stored import judge, stored_bytes
+from .work import is_done, scene_session
+
+START_SECONDS = 4.0
+"""For a second Blender to be there, with the copy open."""
+STROKE_BYTES, SECOND_BYTES = 6_000, 9_000
+"""A stored bake: what it takes at least, and more for every second of its stroke."""
+FACE_BYTES, PALETTE_BYTES = 12, 3_000
+
+
+def make_plan(scene: Any, view_layer: Any) -> PlanView:
+    """The plan of all strokes that are heard; fills STATE.strokes on the way."""
+    session = scene_session(scene, view_layer, Path())
+    found = gather_curves(session, stroke_objects(scene))
+    look_around(session, found)
+    lines: list[PlanLine] = []
+    seconds, needed = 0.0, []
+    for job in found.jobs:
+        curve = scene.objects[job.curve_name]
+        status = STATE.strokes[curve.name] = judge(curve, job)
+        if status.freshness is Freshness.FORCE or is_done(session, job):
+            lines.append(PlanLine("fresh", f"stroke '{job.name}'", status.why))
+            continue
+        length = 0.0 if job.stroke is None else job.stroke.length_m
+        seconds += patches_at_most(length) * CLOSEUP_SECONDS + SYNTHESIS_SECONDS
+        needed.append(job)
+        lines.append(PlanLine("needed", f"stroke '{job.name}' on '{job.object_name}'", _why(status)))
+    if needed:
+        seconds += START_SECONDS
+    for failure in found.failed:
+        STATE.strokes[failure.stroke] = StrokeStatus(Freshness.BROKEN, failure.why)
+        lines.append(PlanLine("failed", f"stroke '{failure.stroke}'", failure.why))
+    lines += [PlanLine("skipped", each.what, each.why) for each in found.skipped]
+    lines += [PlanLine("note", note, "") for note in found.notes]
+    return PlanView(tuple(lines), seconds, _bytes_after(session, found, needed))
+
+
+def _why(status: StrokeStatus) -> str:
+    if status.freshness is Freshness.FRESH:
+        return "Its surface does not carry its tokens."
+    return status.why
+
+
+def _bytes_after(session: Session, found: Gathered, needed: list[Job]) -> int:
+    """Bakes and tokens that the file will hold, of these strokes and what they touch."""
+    total = 0
+    for job in found.jobs:
+        stored = stored_bytes(session.scene.objects[job.curve_name])
+        if job in needed and job.stroke is not None:
+            stored = int(STROKE_BYTES + SECOND_BYTES * float(job.stroke.samples.time[-1]))
+        total += stored
+    touched = {job.object_name: session.scene.objects[job.object_name] for job in found.jobs}
+    meshes = {obj.data.name_full: obj.data for obj in touched.values() if obj.type == "MESH"}
+    for mesh in meshes.values():
+        total += token_bytes(mesh) or FACE_BYTES * len(mesh.polygons) + PALETTE_BYTES
+    return total

@@ -1,0 +1,233 @@
+"""The one bake that runs: copy, child process, comparison, commit; a tick at a time, none of them long."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import time
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hnf_core.errors import FileError, HnfError
+
+from ..bridge.quiet import quiet
+from ..state.folders import cache_folder
+from ..state.session import STATE, JobStatus, LastJob
+from .child import Child
+from .commit import Committed, Place, commit_steps, place_of
+from .folder import new_folder, remove_folder
+from .messages import Began, Broken, Finished, Message, Step
+from .order import SCENE_NAME, Order, Result, read_result, write_order
+from .work import wanted_curves, work_steps
+
+PACKAGE = __name__.rpartition(".jobs.")[0]
+TITLE = "Touch bake"
+TICK_S = 0.05
+"""Of comparing, in one tick: well below what a hand on the mouse notices."""
+KILLED = "Nothing was changed. Bake again: close-ups that were finished are kept. If it happens again, close other "
+KILLED += "programs (memory), or hide heavy objects."
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A folder with the order in it, and where the results will belong."""
+
+    folder: Path
+    order: Order
+    place: Place
+
+
+class Bake:
+    """A bake in a child process. Call tick() every 0.1 s until it says how it ended."""
+
+    def __init__(self, scene: Any, view_layer: Any, only: Sequence[str] = ()) -> None:
+        """Saves a copy of what is open and starts. Raises HnfError; nothing is left behind then."""
+        self.started = time.monotonic()
+        self._prepared = prepare(scene, view_layer, only)
+        self._child: Child | None = None
+        self._committing: Generator[None, None, Committed] | None = None
+        self._result: Result | None = None
+        self._working_since: float | None = None
+        try:
+            save_copy(self._prepared.folder / SCENE_NAME)
+            self._child = Child(self._prepared.folder)
+        except BaseException:
+            self.clean()
+            raise
+        self._show(Step("starting", 0, 1))
+
+    @property
+    def folder(self) -> Path:
+        return self._prepared.folder
+
+    @property
+    def pid(self) -> int | None:
+        """Of the child process, None when it is gone."""
+        return None if self._child is None else self._child.pid
+
+    def tick(self) -> LastJob | None:
+        """Go on for a moment; STATE.job tells how far. None while it runs, else how it ended, told in STATE.last_job
+        too, and nothing of it is left."""
+        try:
+            ended = self._commit() if self._committing is not None else self._listen()
+        except HnfError as error:
+            ended = LastJob(False, str(error))
+        except BaseException:
+            self.cancel()
+            raise
+        if ended is not None:
+            self.clean()
+            STATE.last_job = ended
+        return ended
+
+    def cancel(self) -> LastJob:
+        """Stop now; nothing is left behind, nothing is changed."""
+        self.clean()
+        STATE.last_job = LastJob(True, "Bake cancelled. Nothing was changed; finished close-ups are kept.")
+        return STATE.last_job
+
+    def clean(self) -> None:
+        if self._child is not None:
+            self._child.kill()
+            self._child = None
+        if self._committing is not None:
+            self._committing.close()
+        remove_folder(self.folder)
+        STATE.job = None
+
+    def _listen(self) -> LastJob | None:
+        child = self._child
+        if child is None:
+            return LastJob(False, "The bake has ended already.")
+        code = child.exit_code()  # before its messages are read: what it said last is among them
+        for message in child.messages():
+            ended = self._hear(message)
+            if ended is not None or self._committing is not None:
+                return ended
+        if code is None:
+            return None
+        how = f"was killed (signal {-code})" if code < 0 else f"ended with code {code}"
+        return LastJob(False, f"The bake's own process {how} before it was done. {KILLED}", child.last_lines)
+
+    def _hear(self, message: Message) -> LastJob | None:
+        if isinstance(message, Broken):
+            return LastJob(False, message.why, () if self._child is None else self._child.last_lines)
+        if isinstance(message, Finished):
+            if self._child is not None:
+                self._child.kill()
+                self._child = None
+            self._result = read_result(self.folder)
+            self._committing = commit_steps(self._result, self.folder, self._prepared.place)
+            self._show(Step("comparing with the scene", 0, 1))
+        if isinstance(message, Began):
+            self._working_since = time.monotonic()
+        if isinstance(message, Step):
+            self._show(message)
+        return None
+
+    def _commit(self) -> LastJob | None:
+        until = time.monotonic() + TICK_S
+        while self._committing is not None and self._result is not None and time.monotonic() < until:
+            try:
+                next(self._committing)
+            except StopIteration as done:
+                return told(self._result, done.value, time.monotonic() - self.started)
+        return None
+
+    def _show(self, step: Step) -> None:
+        now, left = time.monotonic(), None
+        done = step.done + step.share
+        if self._working_since is not None and done > 0.0:
+            left = (now - self._working_since) / done * (step.total - done)
+        STATE.job = JobStatus(TITLE, step.stage, step.done, step.total, now - self.started, left)
+
+
+def bake_in_line(scene: Any, view_layer: Any, only: Sequence[str] = ()) -> LastJob:
+    """The blocking twin: the same steps in this very process, on the scene itself; equal bytes."""
+    started = time.monotonic()
+    prepared = prepare(scene, view_layer, only)
+    try:
+        result = _exhaust(work_steps(prepared.order, prepared.folder))
+        committed = _exhaust(commit_steps(result, prepared.folder, prepared.place))
+        STATE.last_job = told(result, committed, time.monotonic() - started)
+        return STATE.last_job
+    except HnfError as error:
+        STATE.last_job = LastJob(False, str(error))
+        raise
+    finally:
+        remove_folder(prepared.folder)
+
+
+def prepare(scene: Any, view_layer: Any, only: Sequence[str] = ()) -> Prepared:
+    """Raises SceneError where there is nothing to bake, FileError where no folder can be made."""
+    import bpy
+
+    wanted_curves(scene, only)
+    place = place_of(scene, view_layer)
+    order = Order(
+        scene=scene.name,
+        view_layer=view_layer.name,
+        only=tuple(only),
+        cache=str(cache_folder()),
+        package=PACKAGE,
+        package_folder=str(Path(__file__).resolve().parents[1]),
+        sys_path=tuple(entry for entry in sys.path if entry),
+        use_scripts=bool(bpy.context.preferences.filepaths.use_scripts_auto_execute),
+    )
+    folder = new_folder()
+    try:
+        write_order(folder, order)
+    except BaseException:
+        remove_folder(folder)
+        raise
+    return Prepared(folder, order, place)
+
+
+def save_copy(path: Path) -> None:
+    """Save what is open, unsaved changes included, to path; the open file stays what it is. Raises FileError."""
+    import bpy
+
+    files = bpy.context.preferences.filepaths
+    preview, was_dirty = files.file_preview_type, bpy.context.preferences.is_dirty
+    try:
+        files.file_preview_type = "NONE"  # a thumbnail would be rendered first
+        with quiet():
+            bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True, compress=False, relative_remap=True)
+    except RuntimeError as error:
+        raise FileError(
+            f"Blender could not save a copy to bake from ({str(error).strip()}).",
+            where=str(path.parent),
+            remedy=f"Free some disk space: {shutil.disk_usage(path.parent).free // 1_000_000} MB are left there.",
+        ) from error
+    finally:
+        files.file_preview_type = preview
+        bpy.context.preferences.is_dirty = was_dirty
+
+
+def told(result: Result, committed: Committed, seconds: float) -> LastJob:
+    """A sentence for the status bar, the rest as details."""
+    problems = [*result.failed, *committed.refused]
+    parts = [f"{_count(len(committed.strokes), 'stroke')} baked in {seconds:.0f} s"]
+    if result.renders:
+        parts.append(_count(result.renders, "close-up"))
+    if result.fresh:
+        parts.append(f"{result.fresh} fresh already")
+    if problems:
+        parts.append(f"{_count(len(problems), 'problem')}, see the details")
+    details = (*(problem.why for problem in problems), *result.warnings)
+    written = len(committed.strokes) + len(committed.meshes)
+    return LastJob(not problems, ", ".join(parts) + ".", details, written)
+
+
+def _count(number: int, thing: str) -> str:
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+
+
+def _exhaust(steps: Generator[Any, None, Any]) -> Any:
+    while True:
+        try:
+            next(steps)
+        except StopIteration as done:
+            return done.value

@@ -1,0 +1,209 @@
+"""Plan, bake, cancel, purge: what the Scene panel's buttons do."""
+
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
+from typing import Any
+
+import bpy
+
+from hnf_core.errors import HnfError
+
+from ..jobs import current
+from ..props.scene import active_stroke, strokes_of
+from ..state.redraw import redraw_tab
+from ..state.session import STATE, LastJob
+
+TICK_S = 0.1
+
+
+class HNF_OT_plan(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.plan"
+    bl_label = "Plan"
+    bl_description = "Say what a bake would do, what is fresh, what is left out and why. Nothing is rendered"
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return _has_strokes(cls, context)
+
+    def execute(self, context: Any) -> set[str]:
+        from ..jobs.plan_view import make_plan
+
+        try:
+            STATE.plan = make_plan(context.scene, context.view_layer)
+        except HnfError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        redraw_tab()
+        return {"FINISHED"}
+
+
+class HNF_OT_bake(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    """The bake, in a second Blender. No REGISTER: adjusting it afterwards would bake anew."""
+
+    bl_idname = "hnf.bake"
+    bl_label = "Bake Touch"
+    bl_description = (
+        "Look closely at what the strokes touch and keep what is needed to hear them. Goes on beside your work; "
+        "Esc cancels"
+    )
+    bl_options = {"UNDO"}  # noqa: RUF012  # Blender wants a set
+
+    only_active: bpy.props.BoolProperty(
+        name="Only the active stroke", description="Leave the other strokes as they are", default=False
+    )
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        if current.is_running():
+            cls.poll_message_set("A bake is running. Wait for it, or press Esc to cancel it.")
+            return False
+        return _has_strokes(cls, context)
+
+    def execute(self, context: Any) -> set[str]:
+        from ..jobs.running import bake_in_line
+
+        try:
+            return self._end(context, bake_in_line(context.scene, context.view_layer, self._only(context)))
+        except HnfError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+
+    def invoke(self, context: Any, _event: Any) -> set[str]:
+        if bpy.app.background:
+            return self.execute(context)
+        try:
+            current.start(context.scene, context.view_layer, self._only(context))
+        except HnfError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        manager = context.window_manager
+        self._timer = manager.event_timer_add(TICK_S, window=context.window)
+        manager.progress_begin(0.0, 1.0)
+        manager.modal_handler_add(self)
+        self._tell(context)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: Any, event: Any) -> set[str]:
+        if not current.is_running():  # cancelled from elsewhere
+            return self._end(context, STATE.last_job)
+        if event.type == "ESC" and event.value == "PRESS":
+            current.cancel()
+            return self._end(context, STATE.last_job)
+        if event.type == "TIMER":
+            try:
+                ended = current.tick()
+            except BaseException:
+                self._end(context, None)
+                raise
+            if ended is not None:
+                return self._end(context, ended)
+            self._tell(context)
+        return {"PASS_THROUGH"}
+
+    def cancel(self, context: Any) -> None:
+        """Blender's own word: the window closes, or another file is opened."""
+        current.cancel()
+        self._end(context, None)
+
+    def _only(self, context: Any) -> tuple[str, ...]:
+        if not self.only_active:
+            return ()
+        stroke = active_stroke(context)
+        if stroke is None:
+            raise HnfError("no stroke is active.", remedy="Select one, in the list or in the 3-D view.")
+        return (stroke.name,)
+
+    def _tell(self, context: Any) -> None:
+        job = STATE.job
+        if job is None:
+            return
+        left = "" if job.left_s is None else f", about {job.left_s:.0f} s left"
+        text = f"{job.title}: {job.stage} ({job.done}/{job.total}){left}.  Esc: cancel"
+        context.workspace.status_text_set(text)
+        context.window_manager.progress_update(job.done / max(1, job.total))
+        redraw_tab()
+
+    def _end(self, context: Any, ended: LastJob | None) -> set[str]:
+        """Take everything away that was put up; tell, and make an undo step where something was written."""
+        timer = getattr(self, "_timer", None)
+        if timer is not None:
+            self._timer = None
+            context.window_manager.event_timer_remove(timer)
+            context.window_manager.progress_end()
+            if context.workspace is not None:
+                context.workspace.status_text_set(None)
+        redraw_tab()
+        if ended is None:
+            return {"CANCELLED"}
+        if not (ended.ok or ended.written):
+            self.report({"ERROR"}, ended.message)
+            return {"CANCELLED"}
+        self.report({"INFO"} if ended.ok else {"WARNING"}, ended.message)
+        return {"FINISHED"} if ended.written else {"CANCELLED"}
+
+
+class HNF_OT_bake_cancel(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.bake_cancel"
+    bl_label = "Cancel"
+    bl_description = (
+        "Stop the bake. Nothing in the scene changes; close-ups that are finished are kept for the next one"
+    )
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        if not current.is_running():
+            cls.poll_message_set("No bake is running.")
+            return False
+        return True
+
+    def execute(self, context: Any) -> set[str]:
+        current.cancel()
+        redraw_tab()
+        return {"FINISHED"}
+
+
+class HNF_OT_purge(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.purge"
+    bl_label = "Purge Touch Data"
+    bl_description = (
+        "Remove baked data from the file. Strokes and choices of materials stay; a bake makes the rest again"
+    )
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
+
+    what: bpy.props.EnumProperty(
+        name="Remove",
+        description="Which baked data go",
+        items=[
+            ("STALE", "What is stale", "Bakes that no longer fit their stroke, and tokens of surfaces that changed"),
+            ("ALL", "Everything baked", "All bakes of all strokes, and the tokens and palettes of all meshes"),
+        ],
+        default="ALL",
+    )
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        if current.is_running():
+            cls.poll_message_set("A bake is running. Wait for it, or press Esc to cancel it.")
+            return False
+        return True
+
+    def invoke(self, context: Any, event: Any) -> set[str]:
+        return set(context.window_manager.invoke_props_dialog(self))
+
+    def execute(self, context: Any) -> set[str]:
+        from ..jobs.purge import purge
+
+        freed = purge(context.scene, context.view_layer, everything=self.what == "ALL")
+        self.report({"INFO"}, freed.message)
+        redraw_tab()
+        return {"FINISHED"} if freed.bytes else {"CANCELLED"}
+
+
+def _has_strokes(operator: Any, context: Any) -> bool:
+    if not strokes_of(context.scene):
+        operator.poll_message_set("The scene has no stroke yet. Draw one, or add one in the list of strokes.")
+        return False
+    return True
+
+
+CLASSES = (HNF_OT_plan, HNF_OT_bake, HNF_OT_bake_cancel, HNF_OT_purge)

@@ -1,0 +1,208 @@
+"""Statuses that follow the scene: which strokes a change may concern, and a look at them, a bit at a time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .guard import own_changes
+from .session import STATE, Freshness, StrokeStatus
+
+if TYPE_CHECKING:
+    from ..touch.jobs import Session
+
+EVERYTHING = "*"
+"""In STATE.dirty: an undo, a redo or another file; nothing is known any more. No datablock is called so by Blender."""
+BUDGET_S = 0.04
+"""No new look begins in a tick after this. One look, of the shape of 100,000 faces, may take as long again."""
+
+
+class Watch:
+    """The strokes of one scene that must be looked at, and what is known of the surfaces they touch.
+
+    Holds names and hashes, no Blender data between two calls.
+    """
+
+    def __init__(self, scene: Any, view_layer: Any) -> None:
+        self.scene, self.view_layer = scene.name, view_layer.name
+        self._pending: dict[str, None] = {}
+        self._session: Session | None = None
+        self._stamp: object = None
+        self.expect(EVERYTHING)
+
+    @property
+    def is_idle(self) -> bool:
+        return not self._pending
+
+    def expect(self, *changed: str) -> None:
+        """Names of datablocks changed: strokes they may concern are looked at again."""
+        scene = _scene(self.scene)
+        if scene is None:
+            self._pending.clear()
+            return
+        names = set(changed)
+        strokes = [obj for obj in scene.objects if obj.hnf_stroke.is_stroke]
+        stamp = (scene.render.fps, scene.render.fps_base, *_scale(scene))
+        if EVERYTHING in names or stamp != self._stamp:
+            self._session, self._stamp = None, stamp
+            for name in STATE.strokes.keys() - {obj.name for obj in strokes}:
+                del STATE.strokes[name]
+            self._pending.update(dict.fromkeys(obj.name for obj in strokes))
+            return
+        surfaces = {surface.name for surface in scene.objects if _concerns(surface, names)}
+        if _has_unknown(scene, names):
+            surfaces = {obj.name for obj in scene.objects if obj.type != "CURVE"}
+        if self._session is not None:
+            self._session.forget(surfaces)
+        for obj in strokes:
+            if _stroke_concerns(obj, names) or self._surface_of(obj) in surfaces or (surfaces and _is_free(obj)):
+                self._pending[obj.name] = None
+        for name in names & STATE.strokes.keys():
+            if scene.objects.get(name) is None:
+                del STATE.strokes[name]
+
+    def only(self, names: set[str]) -> None:
+        """Leave out whatever else is pending."""
+        self._pending = dict.fromkeys(name for name in self._pending if name in names)
+
+    def look(self) -> bool:
+        """One look: at a surface, or at a stroke on a surface that is known. True when a status changed."""
+        scene = _scene(self.scene)
+        if scene is None or not self._pending:
+            self._pending.clear()
+            return False
+        view_layer = scene.view_layers.get(self.view_layer) or scene.view_layers[0]
+        name = next(iter(self._pending))
+        obj = scene.objects.get(name)
+        if obj is None or not obj.hnf_stroke.is_stroke:
+            del self._pending[name]
+            return STATE.strokes.pop(name, None) is not None
+        with own_changes(view_layer):
+            session = self._opened(scene, view_layer)
+            surface = obj.hnf_stroke.surface
+            if surface is not None and surface.mode != "EDIT" and not session.knows(surface):
+                _try_facts(session, surface)
+                if session.knows(surface):
+                    return False
+            status = _status(session, obj)
+        del self._pending[name]
+        changed = STATE.strokes.get(name) != status
+        STATE.strokes[name] = status
+        return changed
+
+    def _opened(self, scene: Any, view_layer: Any) -> Session:
+        from ..jobs.work import scene_session
+
+        if self._session is None:
+            self._session = scene_session(scene, view_layer, Path())
+        self._session.scene, self._session.view_layer = scene, view_layer
+        return self._session
+
+    def _surface_of(self, obj: Any) -> str:
+        chosen = obj.hnf_stroke.surface
+        if chosen is not None:
+            return str(chosen.name)
+        known = STATE.strokes.get(obj.name)
+        return "" if known is None else known.object_name
+
+
+_watches: dict[str, Watch] = {}
+
+
+def refresh_status(scene: Any, names: Iterable[str] | None = None, view_layer: Any = None) -> None:
+    """Fill STATE.strokes from the stored bakes and the scene as it is: of the strokes named, or of all. Takes as long
+    as hashing the surfaces takes."""
+    layer = view_layer or scene.view_layers[0]
+    watch = Watch(scene, layer)
+    if names is not None:
+        watch.only(set(names))
+    while not watch.is_idle:
+        watch.look()
+
+
+def drain(shown: Iterable[tuple[Any, Any]]) -> bool:
+    """Look at what STATE.dirty concerns in the (scene, view layer) pairs shown, for BUDGET_S at most, one look at
+    least. True when a status changed."""
+    started, changed = time.monotonic(), False
+    dirty = tuple(STATE.dirty)
+    STATE.dirty.clear()
+    pairs = {scene.name: (scene, layer) for scene, layer in shown}
+    for name in _watches.keys() - pairs.keys():
+        del _watches[name]
+    for name, (scene, layer) in pairs.items():
+        if name not in _watches:
+            _watches[name] = Watch(scene, layer)
+        else:
+            _watches[name].view_layer = layer.name
+            _watches[name].expect(*dirty)
+        while not _watches[name].is_idle and time.monotonic() - started < BUDGET_S:
+            changed = _watches[name].look() or changed
+    return changed
+
+
+def forget() -> None:
+    """Another file: nothing is known."""
+    _watches.clear()
+    STATE.dirty.clear()
+
+
+def _status(session: Session, obj: Any) -> StrokeStatus:
+    from hnf_core.errors import HnfError
+
+    from ..touch.stored import judge
+
+    surface = obj.hnf_stroke.surface
+    if surface is not None and surface.mode == "EDIT":
+        return StrokeStatus(Freshness.UNKNOWN, f"'{surface.name}' is in Edit Mode.", object_name=surface.name)
+    try:
+        return judge(obj, session.job_of_curve(obj))
+    except HnfError as error:
+        return StrokeStatus(Freshness.BROKEN, str(error), object_name="" if surface is None else surface.name)
+
+
+def _try_facts(session: Session, surface: Any) -> None:
+    from hnf_core.errors import HnfError
+
+    try:
+        session.facts(surface)
+    except HnfError:
+        return  # the stroke's own look says it
+
+
+def _scene(name: str) -> Any:
+    import bpy
+
+    return bpy.data.scenes.get(name)
+
+
+def _scale(scene: Any) -> tuple[object, ...]:
+    units = scene.unit_settings
+    return units.system, units.scale_length, scene.hnf.metres_per_unit
+
+
+def _concerns(obj: Any, names: set[str]) -> bool:
+    """May the object's surface look or feel different where datablocks of these names changed?"""
+    if obj.type == "CURVE" and obj.hnf_stroke.is_stroke:
+        return False
+    if obj.name in names or (obj.data is not None and obj.data.name in names):
+        return True
+    return any(slot.material is not None and slot.material.name in names for slot in obj.material_slots)
+
+
+def _stroke_concerns(obj: Any, names: set[str]) -> bool:
+    action = None if obj.animation_data is None else obj.animation_data.action
+    return obj.name in names or obj.data.name in names or (action is not None and action.name in names)
+
+
+def _is_free(obj: Any) -> bool:
+    return obj.hnf_stroke.surface is None
+
+
+def _has_unknown(scene: Any, names: set[str]) -> bool:
+    """Is a name among them that says nothing of whom it concerns (an image, a node group)?"""
+    import bpy
+
+    known = (bpy.data.objects, bpy.data.meshes, bpy.data.curves, bpy.data.materials, bpy.data.actions)
+    return any(all(name not in kind for kind in known) for name in names)

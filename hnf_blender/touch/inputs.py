@@ -1,0 +1,69 @@
+"""What a stroke's signal follows from, as hashes apart from each other, so that what changed has a name."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, fields
+
+from hnf_core.files import content_hash
+
+TOUCH, PATH = "touch", "path"
+WORDS = {
+    "made_by": "the add-on, its library or its field",
+    "scale": "the scene's unit scale",
+    "shape": "the shape of the surface",
+    "shading": "the materials of the surface",
+    "choices": "a material choice",
+    PATH: "its path, timing or surface",
+    TOUCH: "its force, seed or probe",
+}
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Hashes of: made_by: software, library, field. scale: metres per unit. shape: the surface's geometry.
+    shading: its shaders, their pixels, and the names that a material is guessed from. choices: library materials that
+    the artist named. path: where the hand is and when, on which object. touch: force, seed, probe."""
+
+    made_by: str
+    scale: str
+    shape: str
+    shading: str
+    choices: str
+    path: str
+    touch: str
+
+    @property
+    def key(self) -> str:
+        """Equal keys, equal signals."""
+        return content_hash(*(asdict(self)[field.name] for field in fields(self)))
+
+    @property
+    def path_key(self) -> str:
+        """Of everything but force, seed and probe: while it is equal, the signal follows without a render."""
+        return content_hash(*self._without(TOUCH))
+
+    @property
+    def surface_key(self) -> str:
+        """Of everything that the tokens on the mesh follow from, whatever strokes led there."""
+        return content_hash(*self._without(TOUCH, PATH))
+
+    def changes(self, earlier: Inputs) -> tuple[str, ...]:
+        """What differs from earlier, in words."""
+        return tuple(word for name, word in WORDS.items() if getattr(self, name) != getattr(earlier, name))
+
+    def to_text(self) -> str:
+        return json.dumps(asdict(self), sort_keys=True)
+
+    @classmethod
+    def from_text(cls, text: object) -> Inputs | None:
+        """What to_text wrote; None for anything else."""
+        try:
+            record = json.loads(str(text))
+            return cls(**{field.name: str(record[field.name]) for field in fields(cls)})
+        except (ValueError, KeyError, TypeError):
+            return None
+
+    def _without(self, *names: str) -> Iterator[str]:
+        return (getattr(self, field.name) for field in fields(self) if field.name not in names)

@@ -1,0 +1,88 @@
+"""Strokes one after the other, described and handed on: what the command line, a window's child process and its twin in
+line have in common."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+import traceback
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from pathlib import Path
+
+from hnf_core.cli.progress import Progress
+from hnf_core.errors import HnfError
+
+from .feel import BakedStroke, bake_stroke_steps
+from .jobs import Job, Session
+from .report import Failed, Report
+
+Each = Callable[[Job, BakedStroke], Iterable[str]]
+"""What to do with a described stroke; gives the name of each stage before it begins."""
+
+
+def bake_steps(
+    session: Session, jobs: Sequence[Job], cache: Path, report: Report, each: Each
+) -> Generator[Progress, None, tuple[BakedStroke, ...]]:
+    """Bake every job and hand it to each; one that fails is named in the report and does not cost the others.
+
+    cache: folder of the patches' records. report: its failed, warnings, counts and timings grow. Yields before each
+    stage; the last one, "saving", is the caller's, who gets all that could be described.
+    """
+    baked: list[BakedStroke] = []
+    total = len(jobs) + 1
+    for done, job in enumerate(jobs):
+        yield Progress(job.name, done, total)
+        try:
+            with timed(report, "bake_s"):
+                rendering = _bake(session, job, cache, report)
+                described = yield from _shares(rendering, f"{job.name}: close-ups", done, total)
+            baked.append(described)
+            for stage in each(job, described):
+                yield Progress(f"{job.name}: {stage}", done, total, 0.9)
+        except HnfError as error:
+            report.failed.append(Failed(job.name, str(error)))
+        except KeyboardInterrupt:
+            report.failed += [Failed(left.name, "stopped before it was finished.") for left in jobs[done:]]
+            raise
+        except Exception as error:  # a fault of ours: the other strokes are still delivered
+            traceback.print_exc()
+            report.failed.append(Failed(job.name, f"{job.name}: internal error ({error!r}). Please report it."))
+    yield Progress("saving", total - 1, total)
+    return tuple(baked)
+
+
+@contextlib.contextmanager
+def timed(report: Report, name: str) -> Iterator[None]:
+    """Adds what the block takes to report.timings."""
+    start = time.monotonic()
+    try:
+        yield
+    finally:
+        report.timings[name] = round(report.timings.get(name, 0.0) + time.monotonic() - start, 3)
+
+
+def _bake(session: Session, job: Job, cache: Path, report: Report) -> Generator[float, None, BakedStroke]:
+    stroke = job.stroke
+    if stroke is None:
+        with timed(report, "place_s"):
+            curve = session.place(session.scene.objects[job.object_name], job, report.counts)
+        stroke = session.read(curve)
+    touched = session.touched(session.scene.objects[stroke.object_name])
+    choices = session.choices(stroke.object_name)
+    described = yield from bake_stroke_steps(stroke, touched, choices, cache, report.counts)
+    for note in described.notes:
+        report.warn(note)
+    return described
+
+
+def _shares(
+    rendering: Generator[float, None, BakedStroke], stage: str, done: int, total: int
+) -> Generator[Progress, None, BakedStroke]:
+    """Shares of one stroke's renders → Progress of the whole; closes rendering however it ends."""
+    with contextlib.closing(rendering):
+        while True:
+            try:
+                share = next(rendering)
+            except StopIteration as finished:
+                return finished.value  # type: ignore[no-any-return]  # what the generator declares
+            yield Progress(stage, done, total, 0.9 * share)

@@ -1,0 +1,87 @@
+"""What a stroke's curve object keeps of its bake, and how that stands to the scene of now."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hnf_core.errors import FileError, StrokeError
+
+from ..bridge.storage import SOURCE_PROPERTY
+from ..preview.stroke_bake import BAKE_PROPERTY, StrokeBake, load_bake, remove_bake, store_bake
+from ..state.session import Freshness, StrokeStatus
+from .inputs import Inputs
+from .jobs import Job, SurfaceFacts
+from .tokens import surface_source
+
+INPUTS_PROPERTY = "hnf_inputs"
+"""Beside the bake: what it was made from, part by part, so that a stale one can say why."""
+
+
+def keep(obj: Any, bake: StrokeBake, inputs: Inputs) -> None:
+    """Raises SceneError for a linked object."""
+    store_bake(obj, bake)
+    obj[INPUTS_PROPERTY] = inputs.to_text()
+
+
+def forget(obj: Any) -> int:
+    """Remove what keep left; returns the bytes freed."""
+    freed = stored_bytes(obj)
+    remove_bake(obj)
+    if INPUTS_PROPERTY in obj:
+        del obj[INPUTS_PROPERTY]
+    return freed
+
+
+def stored_bytes(obj: Any) -> int:
+    """How much keep left on a stroke's curve object."""
+    data, text = obj.get(BAKE_PROPERTY), obj.get(INPUTS_PROPERTY)
+    return (len(data) if isinstance(data, bytes) else 0) + (len(text) if isinstance(text, str) else 0)
+
+
+def judge(obj: Any, job: Job) -> StrokeStatus:
+    """How the bake on obj stands to job, which was read from obj just now."""
+    try:
+        bake = load_bake(obj)
+    except FileError as error:
+        return StrokeStatus(Freshness.UNBAKED, str(error), object_name=job.object_name)
+    if bake is None:
+        return StrokeStatus(Freshness.UNBAKED, "Not baked yet.", object_name=job.object_name)
+    if bake.key == job.key:
+        return status_of(bake, Freshness.FRESH)
+    if bake.path_key != job.path_key:
+        return status_of(bake, Freshness.STALE, _what_changed(obj, job, bake))
+    force = None if job.stroke is None else job.stroke.samples.force
+    try:
+        if force is not None:
+            bake.with_force(force)
+    except StrokeError as error:
+        return status_of(bake, Freshness.STALE, str(error))
+    return status_of(bake, Freshness.FORCE, "Only its force, seed or probe changed: heard at once, nothing to bake.")
+
+
+def status_of(bake: StrokeBake, freshness: Freshness, why: str = "") -> StrokeStatus:
+    """For the panels: what was baked, and how it stands."""
+    facts = bake.facts
+    return StrokeStatus(
+        freshness,
+        why,
+        duration_s=bake.stroke.action.duration_s,
+        object_name=facts.get("object", ""),
+        library_material=facts.get("library_material", ""),
+        routes=facts.get("routes", ""),
+        confidence=bake.confidence,
+        warnings=(*bake.warnings, *bake.notes),
+    )
+
+
+def tokens_are_there(obj: Any, facts: SurfaceFacts) -> bool:
+    """Does obj's mesh carry the tokens of its surface as it is? True also where it cannot carry any."""
+    if obj.type != "MESH" or obj.data.library is not None:
+        return True
+    return bool(obj.data.get(SOURCE_PROPERTY) == surface_source(facts))
+
+
+def _what_changed(obj: Any, job: Job, bake: StrokeBake) -> str:
+    earlier = Inputs.from_text(obj.get(INPUTS_PROPERTY))
+    words = job.inputs.changes(earlier) if earlier is not None and earlier.path_key == bake.path_key else ()
+    return f"Since the bake {' and '.join(words)} changed. Bake it again." if words else "Changed since it was baked."
