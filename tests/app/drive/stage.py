@@ -154,3 +154,11 @@ class Stage:
         self.region("UI").active_panel_category = category
         self.area().tag_redraw()
         yield 0.4
+
+    def widen_sidebar(self, width: int) -> Waits:
+        """Drag the sidebar's edge until it is this many pixels wide, more or less."""
+        box = self.region("UI")
+        edge, y = box.x, box.y + box.height // 2
+        # The edge takes the mouse within a few pixels on either side; its own first pixels are the panels'.
+        yield from self.drag([(edge, y), (edge - 5, y), (box.x + box.width - width, y)], pause=0.1)
+        yield 0.3
