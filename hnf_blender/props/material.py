@@ -4,18 +4,21 @@
 
 import bpy
 
+from .overriding import OVERRIDABLE
+
 
 class HnfMaterial(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no types
     library: bpy.props.StringProperty(
         name="Feels like",
         description="Library material chosen by hand; no bake overwrites it. Empty: taken from how the material looks",
         default="",
+        override=OVERRIDABLE,
     )
 
 
 def register() -> None:
     bpy.utils.register_class(HnfMaterial)
-    bpy.types.Material.hnf_touch = bpy.props.PointerProperty(type=HnfMaterial)
+    bpy.types.Material.hnf_touch = bpy.props.PointerProperty(type=HnfMaterial, override=OVERRIDABLE)
 
 
 def unregister() -> None:

@@ -6,10 +6,12 @@ from typing import Any
 
 import bpy
 
+from .overriding import OVERRIDABLE
+
 
 class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no types
     stroke_index: bpy.props.IntProperty(
-        name="Active stroke", description="The stroke the panels below speak of", default=0, min=0
+        name="Active stroke", description="The stroke the panels below speak of", default=0, min=0, override=OVERRIDABLE
     )
     metres_per_unit: bpy.props.FloatProperty(
         name="Metres per unit",
@@ -18,6 +20,7 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
         min=0.0,
         soft_max=1.0,
         precision=4,
+        override=OVERRIDABLE,
     )
     monitor_gain_db: bpy.props.FloatProperty(
         name="Monitor gain",
@@ -26,24 +29,35 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
         min=-60.0,
         max=60.0,
         precision=1,
+        override=OVERRIDABLE,
     )
-    loop: bpy.props.BoolProperty(name="Loop", description="Play the stroke over and over", default=False)
+    loop: bpy.props.BoolProperty(
+        name="Loop", description="Play the stroke over and over", default=False, override=OVERRIDABLE
+    )
     follow_timeline: bpy.props.BoolProperty(
         name="Follow the timeline",
         description="Sound the strokes at their place in time while the timeline plays",
         default=True,
+        override=OVERRIDABLE,
     )
     actuator: bpy.props.StringProperty(
-        name="Actuator", description="Profile whose limits the preview is shown against", default="generic-voice-coil"
+        name="Actuator",
+        description="Profile whose limits the preview is shown against",
+        default="generic-voice-coil",
+        override=OVERRIDABLE,
     )
     export_folder: bpy.props.StringProperty(
-        name="Folder", description="Where exported signals are written", default="//touch", subtype="DIR_PATH"
+        name="Folder",
+        description="Where exported signals are written",
+        default="//touch",
+        subtype="DIR_PATH",
+        override=OVERRIDABLE,
     )
 
 
 def register() -> None:
     bpy.utils.register_class(HnfScene)
-    bpy.types.Scene.hnf = bpy.props.PointerProperty(type=HnfScene)
+    bpy.types.Scene.hnf = bpy.props.PointerProperty(type=HnfScene, override=OVERRIDABLE)
 
 
 def unregister() -> None:

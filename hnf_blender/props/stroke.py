@@ -7,6 +7,8 @@ import bpy
 
 from hnf_core.material.mechanics import PROBES
 
+from .overriding import OVERRIDABLE
+
 FORCE_MAX_N = 20.0
 
 LAWS = (
@@ -18,10 +20,15 @@ LAWS = (
 
 class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no types
     is_stroke: bpy.props.BoolProperty(
-        name="Stroke", description="This curve is a stroke: a path along which the surface is touched", default=False
+        name="Stroke",
+        description="This curve is a stroke: a path along which the surface is touched",
+        default=False,
+        override=OVERRIDABLE,
     )
-    mute: bpy.props.BoolProperty(name="Mute", description="Leave this stroke out", default=False)
-    start: bpy.props.FloatProperty(name="Start", description="Frame at which the stroke begins", default=1.0)
+    mute: bpy.props.BoolProperty(name="Mute", description="Leave this stroke out", default=False, override=OVERRIDABLE)
+    start: bpy.props.FloatProperty(
+        name="Start", description="Frame at which the stroke begins", default=1.0, override=OVERRIDABLE
+    )
     force: bpy.props.FloatProperty(
         name="Force",
         description="Normal force of the touch in newtons; 0 is no contact",
@@ -30,6 +37,7 @@ class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no ty
         max=FORCE_MAX_N,
         soft_max=5.0,
         precision=3,
+        override=OVERRIDABLE,
     )
     progress: bpy.props.FloatProperty(
         name="Progress",
@@ -38,39 +46,58 @@ class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no ty
         min=0.0,
         max=1.0,
         precision=4,
+        override=OVERRIDABLE,
     )
     law: bpy.props.EnumProperty(
-        name="Time law", description="What moves the hand where progress is not keyed", items=LAWS, default="SPEED"
+        name="Time law",
+        description="What moves the hand where progress is not keyed",
+        items=LAWS,
+        default="SPEED",
+        override=OVERRIDABLE,
     )
     speed_mm_s: bpy.props.FloatProperty(
-        name="Speed", description="Millimetres per second", default=100.0, min=0.1, max=10_000.0, soft_max=500.0
+        name="Speed",
+        description="Millimetres per second",
+        default=100.0,
+        min=0.1,
+        max=10_000.0,
+        soft_max=500.0,
+        override=OVERRIDABLE,
     )
     duration_s: bpy.props.FloatProperty(
-        name="Duration", description="Seconds from end to end", default=1.0, min=0.01, max=600.0
+        name="Duration", description="Seconds from end to end", default=1.0, min=0.01, max=600.0, override=OVERRIDABLE
     )
     seed: bpy.props.IntProperty(
-        name="Seed", description="The same stroke with the same seed gives the same signal", default=0, min=0
+        name="Seed",
+        description="The same stroke with the same seed gives the same signal",
+        default=0,
+        min=0,
+        override=OVERRIDABLE,
     )
     probe: bpy.props.EnumProperty(
         name="Probe",
         description="What touches the surface",
         items=[(name, name.capitalize(), f"Touch with the {name}") for name in PROBES],
         default="pen",
+        override=OVERRIDABLE,
     )
     # No poll: a Python callback in a property hangs bpy 4.5 and crashes 4.2 when the process ends.
     surface: bpy.props.PointerProperty(
         name="Surface",
         description="Object that is touched; empty: the nearest visible mesh",
         type=bpy.types.Object,
+        override=OVERRIDABLE,
     )
     material: bpy.props.StringProperty(
-        name="Material", description="Library material to use whatever the surface looks like; empty: as baked"
+        name="Material",
+        description="Library material to use whatever the surface looks like; empty: as baked",
+        override=OVERRIDABLE,
     )
 
 
 def register() -> None:
     bpy.utils.register_class(HnfStroke)
-    bpy.types.Object.hnf_stroke = bpy.props.PointerProperty(type=HnfStroke)
+    bpy.types.Object.hnf_stroke = bpy.props.PointerProperty(type=HnfStroke, override=OVERRIDABLE)
 
 
 def unregister() -> None:
