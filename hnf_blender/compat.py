@@ -91,3 +91,15 @@ def fcurves_of_slot(action: Any, strip: Any) -> list[Any]:
         return []
     bag = _channelbag(action, slot)
     return [] if bag is None else list(bag.fcurves)
+
+
+def own_action(animated: Any) -> None:
+    """Give a datablock that shares its action (a copy of another) an action of its own, in the same slot."""
+    animation = getattr(animated, "animation_data", None)
+    if animation is None or animation.action is None:
+        return
+    slot = getattr(animation, "action_slot", None)
+    identifier = None if slot is None else str(slot.identifier)
+    animation.action = animation.action.copy()
+    if identifier is not None:
+        animation.action_slot = next(slot for slot in animation.action.slots if slot.identifier == identifier)

@@ -58,8 +58,9 @@ def into_collection(stroke: Any, scene: Any) -> None:
     """Link an object to the scene's "Touch strokes" (made where it is missing) and to nothing else."""
     import bpy
 
-    own = next((child for child in scene.collection.children if child.name.split(".")[0] == COLLECTION), None)
-    if own is None or own.library is not None:
+    named = (child for child in scene.collection.children if child.name.split(".")[0] == COLLECTION)
+    own = next((child for child in named if child.library is None), None)
+    if own is None:
         own = bpy.data.collections.new(COLLECTION)
         scene.collection.children.link(own)
     for collection in tuple(stroke.users_collection):

@@ -26,8 +26,9 @@ PROGRESS_TOLERANCE_M = 0.5e-3
 """Along the path, between where the keys and where the hand was at any time."""
 FORCE_TOLERANCE_N = 0.02
 MIN_LENGTH_M = 0.5e-3
-REST_S = 0.05
-"""A pause longer than this between two events is a hand that rests and then goes on, not one that creeps."""
+REST_S = 0.15
+"""A pause longer than this between two events is a hand that rests and then goes on, not one that creeps; a busy
+window may take as long to tell of a move."""
 LAND_S = 0.05
 """How long the force takes to come and go where the hand leaves the surface on its way and lands again."""
 

@@ -1,0 +1,141 @@
+"""What a mouse or pen drew over the scene → a stroke object on the surface it ran over."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.action.pen_stroke import PenSamples, PenStroke, PenStyle, pen_stroke
+from hnf_core.errors import SceneError
+from hnf_core.units import m_to_mm
+
+from .new_stroke import bezier_object, insert_keys, lay_on
+
+Float = NDArray[np.float64]
+
+THROUGH = ("WIRE", "BOUNDS")
+"""Display types that a person sees through, so that a pen draws through them too."""
+LAYERS = 64
+STEP_BEHIND = 1e-5
+"""By how much of the way so far a ray goes on behind something it passes through."""
+
+
+@dataclass(frozen=True)
+class Hit:
+    """obj: what the ray met. local: (3,) in its coordinates. world: (3,)."""
+
+    obj: Any
+    local: Float
+    world: Float
+
+
+@dataclass(frozen=True)
+class DrawnStroke:
+    """obj: the new stroke object. drawn: what it was made of."""
+
+    obj: Any
+    drawn: PenStroke
+
+
+def cast_on_surface(scene: Any, depsgraph: Any, viewport: Any, origin: Any, direction: Any) -> Hit | None:
+    """The first mesh that a person sees along a ray of the viewport (SpaceView3D, None: the view layer decides), in
+    Blender units. Instances, and what the viewport hides or shows as wires, are passed through."""
+    from mathutils import Vector
+
+    start = Vector(origin)
+    for _ in range(LAYERS):
+        found, world, _, _, met, matrix = scene.ray_cast(depsgraph, start, direction)
+        if not found:
+            return None
+        obj = met.original
+        if _is_surface(obj, matrix, scene, depsgraph, viewport):
+            return Hit(obj, np.array(matrix.inverted_safe() @ world), np.array(world))
+        start = world + direction * max((world - Vector(origin)).length * STEP_BEHIND, 1e-7)
+    return None
+
+
+def _is_surface(obj: Any, matrix: Any, scene: Any, depsgraph: Any, viewport: Any) -> bool:
+    if obj.type != "MESH" or obj.display_type in THROUGH or scene.objects.get(obj.name) != obj:
+        return False
+    if not obj.visible_get(view_layer=depsgraph.view_layer, viewport=viewport):
+        return False
+    own = np.array(obj.evaluated_get(depsgraph).matrix_world)
+    return bool(np.allclose(own, np.array(matrix), rtol=1e-5, atol=1e-6))
+
+
+def new_drawn_stroke(
+    scene: Any,
+    depsgraph: Any,
+    surface: Any,
+    samples: PenSamples,
+    style: PenStyle,
+    *,
+    start_frame: float,
+    probe: str,
+    metres_per_unit: float,
+) -> DrawnStroke:
+    """A stroke object from samples in world coordinates (Blender units).
+
+    It is a child of the surface, in the collection of strokes, named after the surface; keyed as drawn (see
+    pen_stroke). Raises StrokeError for what is no stroke and SceneError for a surface that no stroke can touch;
+    then nothing is made.
+    """
+    if surface.hide_render:
+        raise SceneError(
+            "it is hidden in renders, and what is touched is rendered.",
+            where=f"object '{surface.name}'",
+            remedy="Show it in renders (camera icon in the Outliner).",
+        )
+    evaluated = surface.evaluated_get(depsgraph)
+    to_world = np.array(evaluated.matrix_world, dtype=np.float64)
+    if abs(np.linalg.det(to_world[:3, :3])) < 1e-30:
+        raise SceneError(
+            "its scale is 0 along an axis.", where=f"object '{surface.name}'", remedy="Give it a thickness."
+        )
+    from_world = np.linalg.inv(to_world)
+    in_metres = PenSamples(samples.time, samples.point * metres_per_unit, samples.pressure, samples.touching)
+    drawn = pen_stroke(in_metres, style, to_surface=_onto(evaluated, to_world, from_world, metres_per_unit))
+    local = [
+        points / metres_per_unit @ from_world[:3, :3].T + from_world[:3, 3]
+        for points in (drawn.path.knot, drawn.path.left, drawn.path.right)
+    ]
+    stroke = bezier_object(f"Stroke on {surface.name}", *local)
+    lay_on(stroke, surface, scene)
+    group = stroke.hnf_stroke
+    group.start, group.probe = start_frame, probe
+    per_second = float(scene.render.fps) / float(scene.render.fps_base)
+    if drawn.progress is None:
+        group.law, group.speed_mm_s = "SPEED", m_to_mm(style.speed_m_s or 0.0)
+    else:
+        group.law = "PROGRESS"
+        insert_keys(stroke, "progress", drawn.progress, start_frame, per_second)
+    insert_keys(stroke, "force", drawn.force, start_frame, per_second)
+    return DrawnStroke(stroke, drawn)
+
+
+def _onto(evaluated: Any, to_world: Float, from_world: Float, metres: float) -> Callable[[Float], Float]:
+    """World points [m] → the nearest points of the evaluated object, as it is looked for in its own coordinates."""
+
+    def nearest(points: Float) -> Float:
+        local = points / metres @ from_world[:3, :3].T + from_world[:3, 3]
+        found = np.empty_like(local)
+        for k, point in enumerate(local):
+            hit, place, _, _ = evaluated.closest_point_on_mesh(point)
+            found[k] = place if hit else point
+        return np.asarray((found @ to_world[:3, :3].T + to_world[:3, 3]) * metres)
+
+    return nearest
+
+
+def touching_surface(points: Float, surface: Any, depsgraph: Any, metres_per_unit: float, within_m: float) -> Any:
+    """(n,) bool: which world points (n, 3) lie within a distance of the surface object."""
+    evaluated = surface.evaluated_get(depsgraph)
+    to_world = np.array(evaluated.matrix_world, dtype=np.float64)
+    from_world = np.linalg.inv(to_world)
+    on = _onto(evaluated, to_world, from_world, metres_per_unit)
+    metres = points * metres_per_unit
+    return np.linalg.norm(on(metres) - metres, axis=1) <= within_m

@@ -1,0 +1,88 @@
+"""Keyframes of force: carried from stroke to stroke, and made where there are none yet."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hnf_core.errors import StrokeError
+
+from .. import compat
+from .channels import read_channel
+from .new_stroke import MIN_KEY_FRAMES
+from .stroke_timeline import motion_end
+
+PATH = "hnf_stroke.force"
+COPIED = ("interpolation", "easing", "amplitude", "back", "period", "handle_left_type", "handle_right_type", "type")
+
+
+def force_curve(stroke: Any) -> Any:
+    """The F-curve of a stroke's force, or None."""
+    return next((curve for curve in compat.fcurves_of(stroke) if curve.data_path == PATH), None)
+
+
+def ensure_force_keys(stroke: Any, scene: Any, metres_per_unit: float) -> Any:
+    """The F-curve of force; where there is none, two keys with the force as it is set, from start to end of the
+    motion. Raises StrokeError where force is driven or the stroke cannot be read."""
+    found = force_curve(stroke)
+    if found is not None and not found.is_empty:
+        return found
+    if read_channel(stroke, "force", scene).source == "driven":
+        raise StrokeError(
+            "its force is moved by a driver or the NLA.", where=f"stroke '{stroke.name}'", remedy="Edit it there."
+        )
+    for frame in (float(stroke.hnf_stroke.start), motion_end(stroke, scene, metres_per_unit)):
+        if not stroke.keyframe_insert(PATH, frame=frame):
+            raise StrokeError(
+                "its force cannot be keyed.",
+                where=f"stroke '{stroke.name}'",
+                remedy="Make it local or override it (Object > Library Override).",
+            )
+    return force_curve(stroke)
+
+
+def copy_force(given: Any, taken: Any, scene: Any, metres_per_unit: float, *, fit_time: bool) -> None:
+    """Give one stroke's force to another: its F-curve key by key, or its one value where it is not keyed.
+
+    Times count from each stroke's start; fit_time stretches them by the ratio of the two motions' durations. Raises
+    StrokeError where a force is driven, or a duration cannot be told.
+    """
+    for stroke in (given, taken):
+        if read_channel(stroke, "force", scene).source == "driven":
+            raise StrokeError(
+                "its force is moved by a driver or the NLA, which cannot be copied.",
+                where=f"stroke '{stroke.name}'",
+                remedy="Bake it to keyframes first (Key > Bake Channels).",
+            )
+    start, own_start = float(given.hnf_stroke.start), float(taken.hnf_stroke.start)
+    stretch = 1.0
+    if fit_time:
+        length = motion_end(given, scene, metres_per_unit) - start
+        own_length = motion_end(taken, scene, metres_per_unit) - own_start
+        stretch = own_length / length if length > 0.0 and own_length > 0.0 else 1.0
+    curve = force_curve(given)
+    if force_curve(taken) is not None:
+        _clear(taken)
+    taken.hnf_stroke.force = given.hnf_stroke.force
+    if curve is None or curve.is_empty:
+        return
+    copied: list[tuple[Any, list[tuple[float, float]]]] = []
+    for key in curve.keyframe_points:
+        places = [(own_start + (x - start) * stretch, y) for x, y in (key.co, key.handle_left, key.handle_right)]
+        if copied and places[0][0] - copied[-1][1][0][0] < MIN_KEY_FRAMES:
+            copied.pop()  # pressed together, the later key counts
+        copied.append((key, places))
+    for _, ((frame, value), _, _) in copied:
+        taken.hnf_stroke.force = value
+        taken.keyframe_insert(PATH, frame=frame)
+    own = force_curve(taken)
+    own.extrapolation = curve.extrapolation
+    for key, (model, (_, left, right)) in zip(own.keyframe_points, copied, strict=True):
+        for name in COPIED:
+            setattr(key, name, getattr(model, name))
+        key.handle_left, key.handle_right = left, right
+    own.update()
+
+
+def _clear(stroke: Any) -> None:
+    for key in reversed([float(key.co[0]) for key in force_curve(stroke).keyframe_points]):
+        stroke.keyframe_delete(PATH, frame=key)

@@ -1,0 +1,42 @@
+"""Which stroke the artist works on, and how long a Blender unit is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hnf_core.errors import HnfError
+
+from ..prefs import settings
+
+AS_SET = "AS_SET"
+"""Value of an operator's probe: the one of the preferences."""
+
+
+def make_active(context: Any, stroke: Any) -> None:
+    """Select this stroke alone, make it the active object and the one picked in the list."""
+    layer = context.view_layer
+    layer.update()  # a collection made a moment ago is not in it yet
+    for other in tuple(layer.objects.selected):
+        other.select_set(False, view_layer=layer)
+    if layer.objects.get(stroke.name) == stroke:
+        stroke.select_set(True, view_layer=layer)
+        layer.objects.active = stroke
+    context.scene.hnf.stroke_index = max(0, context.scene.objects.find(stroke.name))
+
+
+def metres_of(scene: Any) -> float:
+    """Metres per Blender unit as the Scene panel says."""
+    from ..bridge.importers import metres_per_unit
+
+    return metres_per_unit(scene, float(scene.hnf.metres_per_unit) or None)
+
+
+def probe_of(context: Any, chosen: str) -> str:
+    """The probe of a new stroke: as chosen in the operator, or as in the preferences."""
+    return str(settings(context).default_probe) if chosen == AS_SET else chosen
+
+
+def one_line(error: HnfError) -> str:
+    """An error as a report shows it."""
+    text = str(error)
+    return text[:1].upper() + text[1:]

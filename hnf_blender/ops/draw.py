@@ -1,0 +1,267 @@
+"""Draw a stroke on what is seen in the 3-D view, with a mouse or a pen."""
+
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
+from typing import Any
+
+import bpy
+import numpy as np
+
+from hnf_core.action.contacts import CONTACT_TOLERANCE_M
+from hnf_core.action.pen_stroke import PenSamples, PenStyle
+from hnf_core.errors import HnfError, SceneError
+from hnf_core.material.mechanics import PROBES
+from hnf_core.units import m_to_mm, mm_to_m
+
+from ..props.stroke import FORCE_MAX_N
+from .active import AS_SET, make_active, metres_of, one_line, probe_of
+
+PROBE_ITEMS = [
+    (AS_SET, "As in the preferences", "The probe that the preferences name for new strokes"),
+    *((name, name.capitalize(), f"Touch with the {name}") for name in PROBES),
+]
+TIMINGS = (
+    ("HAND", "As drawn", "The stroke takes the time that the hand took: it becomes keyframes of progress"),
+    ("SPEED", "Constant", "One speed from end to end, whatever the hand did; change it later in the Time panel"),
+)
+
+
+class HnfPenSample(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no types
+    """One place of the pen. Python callers give every field, `name` too."""
+
+    location: bpy.props.FloatVectorProperty(name="Location", description="In world coordinates", size=3)
+    pressure: bpy.props.FloatProperty(name="Pressure", description="0 to 1; 1 throughout is a mouse", default=1.0)
+    time: bpy.props.FloatProperty(name="Time", description="Seconds since the first sample")
+    touching: bpy.props.BoolProperty(name="Touching", description="On the surface", default=True)
+
+
+class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # Blender's naming
+    bl_idname = "hnf.stroke_draw"
+    bl_label = "Draw Touch Stroke"
+    bl_description = (
+        "Press on a surface and drag. Pen pressure becomes force in newtons, the hand's timing becomes progress. "
+        "ESC or right click gives up"
+    )
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012  # Blender reads a set
+
+    stroke: bpy.props.CollectionProperty(type=HnfPenSample, options={"HIDDEN", "SKIP_SAVE"})
+    surface: bpy.props.StringProperty(
+        name="Surface",
+        description="Object that is touched; empty: the nearest visible mesh",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+    wait_for_input: bpy.props.BoolProperty(
+        name="Wait", description="Begin at the next press", default=True, options={"HIDDEN", "SKIP_SAVE"}
+    )
+    force_min_n: bpy.props.FloatProperty(
+        name="Lightest",
+        description="Normal force in newtons at the lightest pen pressure",
+        default=0.1,
+        min=0.0,
+        max=FORCE_MAX_N,
+        soft_max=2.0,
+        precision=2,
+    )
+    force_max_n: bpy.props.FloatProperty(
+        name="Hardest",
+        description="Normal force in newtons at full pen pressure",
+        default=3.0,
+        min=0.01,
+        max=FORCE_MAX_N,
+        soft_max=5.0,
+        precision=2,
+    )
+    force_n: bpy.props.FloatProperty(
+        name="Mouse",
+        description="Normal force in newtons where there is no pen pressure",
+        default=1.0,
+        min=0.01,
+        max=FORCE_MAX_N,
+        soft_max=5.0,
+        precision=2,
+    )
+    timing: bpy.props.EnumProperty(
+        name="Timing", description="Where the speed comes from", items=TIMINGS, default="HAND"
+    )
+    speed_mm_s: bpy.props.FloatProperty(
+        name="Speed",
+        description="Constant speed in millimetres per second",
+        default=100.0,
+        min=0.1,
+        max=10_000.0,
+        soft_max=500.0,
+        precision=1,
+    )
+    smoothing_ms: bpy.props.FloatProperty(
+        name="Smoothing",
+        description="Milliseconds over which the tremble of the hand and the steps of the pixels are evened out",
+        default=20.0,
+        min=0.0,
+        max=500.0,
+        soft_max=100.0,
+        precision=0,
+    )
+    probe: bpy.props.EnumProperty(
+        name="Probe", description="What touches the surface", items=PROBE_ITEMS, default=AS_SET
+    )
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        if context.mode != "OBJECT":
+            cls.poll_message_set("Strokes are drawn in Object Mode: press Tab")
+            return False
+        return True
+
+    def draw(self, _context: Any) -> None:
+        layout = self.layout
+        layout.use_property_split = True
+        with_pen = any(sample.pressure != 1.0 for sample in self.stroke)
+        draw_style(layout, self, pen=with_pen or not self.stroke, mouse=not with_pen)
+
+    def execute(self, context: Any) -> set[str]:
+        try:
+            made = self._make(context)
+        except HnfError as error:
+            self.report({"ERROR"}, one_line(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, made)
+        return {"FINISHED"}
+
+    def invoke(self, context: Any, event: Any) -> set[str]:
+        if len(self.stroke):
+            return self.execute(context)
+        if context.area is None or context.area.type != "VIEW_3D":
+            self.report({"WARNING"}, "Strokes are drawn in a 3-D view")
+            return {"CANCELLED"}
+        from ..tool.pen import Pen
+
+        self._pen = Pen(context, self.force_at)
+        if not self.wait_for_input and not self._pen.press(context, event):
+            self._pen.close(context)
+            self.report({"WARNING"}, self._pen.why_not or "Press on a mesh that is visible here")
+            return {"CANCELLED"}
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: Any, event: Any) -> set[str]:
+        try:
+            return self._step(context, event)
+        except Exception:
+            self._pen.close(context)
+            raise
+
+    def _step(self, context: Any, event: Any) -> set[str]:
+        pen = self._pen
+        if event.type in {"ESC", "RIGHTMOUSE"} and event.value == "PRESS":
+            pen.close(context)
+            return {"CANCELLED"}
+        if not pen.is_down:
+            if event.type != "LEFTMOUSE" or event.value != "PRESS" or not pen.is_over(event):
+                return {"PASS_THROUGH"}
+            if not pen.press(context, event):
+                self.report({"WARNING"}, pen.why_not or "Press on a mesh that is visible here")
+            return {"RUNNING_MODAL"}
+        if event.type in {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE"}:
+            pen.move(context, event)
+        elif event.type == "LEFTMOUSE" and event.value == "RELEASE":
+            pen.move(context, event)
+            pen.close(context)
+            return self._finish(context)
+        return {"RUNNING_MODAL"}
+
+    def cancel(self, context: Any) -> None:
+        """Blender ends the operator itself: the file or the window is closed."""
+        self._pen.close(context)
+
+    def _finish(self, context: Any) -> set[str]:
+        pen = self._pen
+        if pen.is_click:
+            self.report({"WARNING"}, "A click is no stroke: press, drag over the surface, release")
+            return {"CANCELLED"}
+        self.surface = pen.surface
+        self.stroke.clear()
+        for sample in pen.samples(context):
+            item = self.stroke.add()
+            item.location, item.pressure, item.time, item.touching = sample
+        try:
+            made = self._make(context)
+        except HnfError as error:
+            self.report({"WARNING"}, one_line(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, made)
+        return {"FINISHED"}
+
+    def force_at(self, pressure: float, is_pen: bool) -> float:
+        """Newtons at a pen pressure of 0 to 1, or of the mouse."""
+        low, high = sorted((float(self.force_min_n), float(self.force_max_n)))
+        return low + (high - low) * pressure if is_pen else float(self.force_n)
+
+    def _make(self, context: Any) -> str:
+        """Make the stroke object and select it; what was made, in words. Raises HnfError where nothing was made."""
+        from ..bridge.drawn_stroke import new_drawn_stroke, touching_surface
+
+        scene, depsgraph, metres = context.scene, context.evaluated_depsgraph_get(), metres_of(context.scene)
+        if len(self.stroke) == 0:
+            raise SceneError("nothing was drawn.", remedy="Take the stroke tool and drag over a surface.")
+        time, pressure, touching = (
+            np.array([getattr(sample, name) for sample in self.stroke]) for name in ("time", "pressure", "touching")
+        )
+        points = np.array([tuple(sample.location) for sample in self.stroke], dtype=np.float64)
+        surface = self._surface(context, points[touching], depsgraph, metres)
+        touching[touching] = touching_surface(points[touching], surface, depsgraph, metres, CONTACT_TOLERANCE_M)
+        low, high = sorted((float(self.force_min_n), float(self.force_max_n)))
+        speed = mm_to_m(float(self.speed_mm_s)) if self.timing == "SPEED" else None
+        made = new_drawn_stroke(
+            scene,
+            depsgraph,
+            surface,
+            PenSamples(time.astype(np.float64), points, pressure.astype(np.float64), touching.astype(bool)),
+            PenStyle((low, high), float(self.force_n), float(self.smoothing_ms) * 1e-3, speed),
+            start_frame=float(scene.frame_current_final),
+            probe=probe_of(context, str(self.probe)),
+            metres_per_unit=metres,
+        )
+        make_active(context, made.obj)
+        lifted = "; silent where it left the surface" if made.drawn.lifted else ""
+        length, seconds = m_to_mm(made.drawn.length_m), made.drawn.duration_s
+        return f"{made.obj.name}: {length:.0f} mm in {seconds:.2f} s{lifted}"
+
+    def _surface(self, context: Any, points: Any, depsgraph: Any, metres: float) -> Any:
+        from ..bridge.meshes import surface_mesh
+        from ..bridge.nearest_surface import nearest_surface
+
+        if self.surface:
+            found = context.scene.objects.get(self.surface)
+            if found is None or found.type != "MESH":
+                raise SceneError(
+                    "there is no such mesh in this scene.", where=f"object '{self.surface}'", remedy="Name another."
+                )
+            return found
+        if len(points) == 0:
+            raise SceneError("the stroke touches no surface.", remedy="Draw on a visible mesh.")
+        return nearest_surface(
+            points,
+            context.scene,
+            depsgraph,
+            lambda touched: surface_mesh(touched, depsgraph, metres),
+            metres,
+            where="the drawn stroke",
+        )
+
+
+def draw_style(layout: Any, props: Any, *, pen: bool = True, mouse: bool = True) -> None:
+    """The settings of a drawn stroke, as the tool's header and the redo panel show them."""
+    if pen:
+        row = layout.row(align=True)
+        row.prop(props, "force_min_n", text="Pen (N)")
+        row.prop(props, "force_max_n", text="")
+    if mouse:
+        layout.prop(props, "force_n", text="Mouse (N)")
+    layout.prop(props, "timing")
+    if props.timing == "SPEED":
+        layout.prop(props, "speed_mm_s", text="Speed (mm/s)")
+    layout.prop(props, "smoothing_ms", text="Smoothing (ms)")
+    layout.prop(props, "probe")
+
+
+CLASSES = (HnfPenSample, HNF_OT_stroke_draw)

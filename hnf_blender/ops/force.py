@@ -1,0 +1,127 @@
+"""Force over time: key it, see its curve, copy it to other strokes."""
+
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
+from typing import Any
+
+import bpy
+
+from hnf_core.errors import HnfError
+
+from ..props.scene import active_stroke
+from ..props.stroke import FORCE_MAX_N
+from .active import metres_of, one_line
+from .strokes import UNDOABLE, needs_stroke
+
+FORCE = "hnf_stroke.force"
+
+
+def other_strokes(context: Any) -> list[Any]:
+    """The selected strokes apart from the active one."""
+    stroke = active_stroke(context)
+    selected = context.view_layer.objects.selected
+    return [obj for obj in selected if obj != stroke and obj.hnf_stroke.is_stroke]
+
+
+class HNF_OT_stroke_key_force(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types
+    bl_idname = "hnf.stroke_key_force"
+    bl_label = "Key Force"
+    bl_description = "Keyframe of the active stroke's force in newtons, at the current frame"
+    bl_options = UNDOABLE
+
+    force_n: bpy.props.FloatProperty(
+        name="Force",
+        description="Newtons; below 0 keys the force as it is set",
+        default=-1.0,
+        min=-1.0,
+        max=FORCE_MAX_N,
+        precision=2,
+        options={"SKIP_SAVE"},
+    )
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return needs_stroke(cls, context)
+
+    def execute(self, context: Any) -> set[str]:
+        stroke, frame = active_stroke(context), float(context.scene.frame_current_final)
+        group = stroke.hnf_stroke
+        if self.force_n >= 0.0:
+            group.force = self.force_n
+        if frame < group.start:
+            self.report({"WARNING"}, f"Frame {frame:g} lies before the stroke's start at frame {group.start:g}")
+        if not stroke.keyframe_insert(FORCE, frame=frame):
+            self.report({"ERROR"}, f"The force of '{stroke.name}' cannot be keyed: its animation is linked or locked")
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"{group.force:.2f} N at frame {frame:g}")
+        return {"FINISHED"}
+
+
+class HNF_OT_stroke_copy_force(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.stroke_copy_force"
+    bl_label = "Copy Force to Selected"
+    bl_description = "Give the active stroke's force curve to the other selected strokes"
+    bl_options = UNDOABLE
+
+    fit_time: bpy.props.BoolProperty(
+        name="Fit to each stroke's duration",
+        description="Stretch the curve to as long as each stroke takes; off: the same seconds from its start",
+        default=True,
+    )
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        if not needs_stroke(cls, context):
+            return False
+        if not other_strokes(context):
+            cls.poll_message_set("Select the strokes that are to get the force too; the active stroke gives it")
+            return False
+        return True
+
+    def execute(self, context: Any) -> set[str]:
+        from ..bridge.force_keys import copy_force
+
+        given, done = active_stroke(context), []
+        for stroke in other_strokes(context):
+            try:
+                copy_force(given, stroke, context.scene, metres_of(context.scene), fit_time=self.fit_time)
+            except HnfError as error:
+                self.report({"WARNING"}, one_line(error))
+                continue
+            done.append(stroke.name)
+        if not done:
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"The force of {given.name} went to {', '.join(done)}")
+        return {"FINISHED"}
+
+
+class HNF_OT_force_graph(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.force_graph"
+    bl_label = "Force in the Graph Editor"
+    bl_description = "Show the active stroke's force curve alone, newtons over frames, in a Graph Editor of this window"
+    bl_options = UNDOABLE
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        if not needs_stroke(cls, context):
+            return False
+        if bpy.app.background or context.window is None:
+            cls.poll_message_set("A Graph Editor needs a window, and Blender runs in the background")
+            return False
+        return True
+
+    def execute(self, context: Any) -> set[str]:
+        from ..bridge.force_keys import ensure_force_keys
+        from ..tool.graph import show_curve
+
+        stroke = active_stroke(context)
+        try:
+            ensure_force_keys(stroke, context.scene, metres_of(context.scene))
+        except HnfError as error:
+            self.report({"ERROR"}, one_line(error))
+            return {"CANCELLED"}
+        show_curve(context, stroke, FORCE)
+        return {"FINISHED"}
+
+
+CLASSES = (HNF_OT_stroke_key_force, HNF_OT_stroke_copy_force, HNF_OT_force_graph)

@@ -1,0 +1,304 @@
+"""Strokes as a whole: add, convert, duplicate, delete, select, solo."""
+
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
+from typing import Any
+
+import bpy
+
+from hnf_core.action.primitives import PRIMITIVES, Primitive
+from hnf_core.action.words import primitive_of
+from hnf_core.errors import HnfError
+
+from ..compat import own_action
+from ..props.scene import active_stroke, strokes_of
+from .active import AS_SET, make_active, metres_of, one_line, probe_of
+from .draw import PROBE_ITEMS
+
+UNDOABLE = {"REGISTER", "UNDO"}
+NOT_SELECTED = "No stroke is selected: click one in the Touch tab, or draw one with the stroke tool"
+
+
+def in_words(primitive: Primitive) -> str:
+    """ "Scrape at 0.5 N and 100 mm/s": the tooltip of a primitive."""
+    return f"{primitive.kind.capitalize()} at {primitive.force:g} N and {primitive.speed * 1e3:g} mm/s"
+
+
+PRIMITIVE_ITEMS = [
+    (name, name.replace("-", " ").capitalize(), in_words(primitive)) for name, primitive in PRIMITIVES.items()
+]
+
+
+def touched_object(context: Any) -> Any:
+    """The mesh that a new stroke goes on, or None: the active or selected one, else the active stroke's surface, else
+    the only visible one."""
+    active = context.view_layer.objects.active
+    selected = [obj for obj in context.view_layer.objects.selected if obj.type == "MESH"]
+    if active is not None and active.type == "MESH" and (active in selected or not selected):
+        return active
+    if selected:
+        return selected[0]
+    stroke = active_stroke(context)
+    if stroke is not None and stroke.hnf_stroke.surface is not None:
+        return stroke.hnf_stroke.surface
+    visible = [obj for obj in context.view_layer.objects if obj.type == "MESH" and obj.visible_get()]
+    return visible[0] if len(visible) == 1 else None
+
+
+def needs_object_mode(cls: Any, context: Any) -> bool:
+    """For poll(): True in Object Mode, else says why greyed."""
+    if context.mode != "OBJECT":
+        cls.poll_message_set("Strokes are made in Object Mode: press Tab")
+        return False
+    return True
+
+
+def needs_stroke(cls: Any, context: Any) -> bool:
+    """For poll(): True where there is an active stroke, else says why greyed."""
+    if active_stroke(context) is None:
+        cls.poll_message_set(NOT_SELECTED)
+        return False
+    return True
+
+
+class HNF_OT_stroke_add(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types, Blender's naming
+    bl_idname = "hnf.stroke_add"
+    bl_label = "Add Touch Stroke"
+    bl_description = "Lay a ready stroke on the selected mesh, where it is flat, free and large enough"
+    bl_options = UNDOABLE
+
+    primitive: bpy.props.EnumProperty(
+        name="Stroke", description="Kind of motion, force in newtons and speed", items=PRIMITIVE_ITEMS
+    )
+    words: bpy.props.StringProperty(
+        name="In words",
+        description="Instead of a ready one: 'scrape right to left, 1.5 N, 80 mm/s', 'rub gently'",
+        options={"SKIP_SAVE"},
+    )
+    slot: bpy.props.IntProperty(
+        name="Material slot",
+        description="Slot that is touched, counted from 0; -1 takes the one that covers the most",
+        default=-1,
+        min=-1,
+    )
+    seed: bpy.props.IntProperty(
+        name="Seed", description="The same seed gives the same wandering and the same signal", default=0, min=0
+    )
+    probe: bpy.props.EnumProperty(
+        name="Probe", description="What touches the surface", items=PROBE_ITEMS, default=AS_SET
+    )
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        if not needs_object_mode(cls, context):
+            return False
+        if touched_object(context) is None:
+            cls.poll_message_set("Select the mesh object that is to be touched")
+            return False
+        return True
+
+    def execute(self, context: Any) -> set[str]:
+        from ..bridge.new_stroke import into_collection
+        from ..bridge.placement import place_primitive
+
+        scene, touched = context.scene, touched_object(context)
+        if self.slot >= max(1, len(touched.material_slots)):
+            self.report({"ERROR"}, f"'{touched.name}' has no material slot {self.slot}; the first is 0")
+            return {"CANCELLED"}
+        try:
+            placed = place_primitive(
+                scene,
+                touched,
+                None if self.slot < 0 else int(self.slot),
+                primitive_of(self.words) if self.words.strip() else str(self.primitive),
+                metres_of(scene),
+                context.evaluated_depsgraph_get(),
+                seed=int(self.seed),
+                start_frame=float(scene.frame_current_final),
+            )
+        except HnfError as error:
+            self.report({"ERROR"}, one_line(error))
+            return {"CANCELLED"}
+        into_collection(placed.curve, scene)
+        placed.curve.hnf_stroke.probe = probe_of(context, str(self.probe))
+        make_active(context, placed.curve)
+        self.report({"INFO"}, f"{placed.curve.name}: {placed.size_m * 1e3:.0f} mm")
+        return {"FINISHED"}
+
+
+class HNF_OT_stroke_from_curve(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.stroke_from_curve"
+    bl_label = "Make Curve a Touch Stroke"
+    bl_description = "Every selected curve becomes a stroke along it, beginning at the current frame"
+    bl_options = UNDOABLE
+
+    speed_mm_s: bpy.props.FloatProperty(
+        name="Speed", description="Millimetres per second", default=100.0, min=0.1, max=10_000.0, soft_max=500.0
+    )
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        if not needs_object_mode(cls, context):
+            return False
+        if not curves_to_convert(context):
+            cls.poll_message_set("Select a curve object that is no stroke yet")
+            return False
+        return True
+
+    def execute(self, context: Any) -> set[str]:
+        from ..bridge.splines import read_curve
+
+        made = []
+        for obj in curves_to_convert(context):
+            try:
+                read_curve(obj)
+            except HnfError as error:
+                self.report({"WARNING"}, one_line(error))
+                continue
+            group = obj.hnf_stroke
+            group.is_stroke, group.law, group.speed_mm_s = True, "SPEED", self.speed_mm_s
+            group.start, group.probe = float(context.scene.frame_current_final), probe_of(context, AS_SET)
+            made.append(obj)
+        if not made:
+            return {"CANCELLED"}
+        active = context.view_layer.objects.active
+        context.view_layer.objects.active = active if active in made else made[0]
+        context.scene.hnf.stroke_index = max(0, context.scene.objects.find(context.view_layer.objects.active.name))
+        self.report({"INFO"}, f"Strokes: {', '.join(obj.name for obj in made)}")
+        return {"FINISHED"}
+
+
+def curves_to_convert(context: Any) -> list[Any]:
+    """The selected curve objects that are no strokes."""
+    selected = context.view_layer.objects.selected
+    return [obj for obj in selected if obj.type == "CURVE" and not obj.hnf_stroke.is_stroke]
+
+
+class OfStroke:
+    """Operators that work on the stroke that is named, or else on the active one."""
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        if not strokes_of(context.scene):
+            cls.poll_message_set("There is no stroke yet: draw one with the stroke tool")  # type: ignore[attr-defined]
+            return False
+        return True
+
+    def execute(self, context: Any) -> set[str]:
+        named = context.scene.objects.get(self.name) if self.name else None  # type: ignore[attr-defined]
+        stroke = named if named is not None and named.hnf_stroke.is_stroke else active_stroke(context)
+        if stroke is None:
+            self.report({"ERROR"}, NOT_SELECTED)  # type: ignore[attr-defined]
+            return {"CANCELLED"}
+        self.report({"INFO"}, self.work(context, stroke))  # type: ignore[attr-defined]
+        return {"FINISHED"}
+
+
+NAME = {"name": "Name", "description": "Stroke object; empty: the active one", "options": {"HIDDEN", "SKIP_SAVE"}}
+
+
+class HNF_OT_stroke_delete(OfStroke, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.stroke_delete"
+    bl_label = "Delete Stroke"
+    bl_description = "Delete this stroke with its curve and keyframes"
+    bl_options = UNDOABLE
+
+    name: bpy.props.StringProperty(**NAME)
+
+    def work(self, context: Any, stroke: Any) -> str:
+        scene = context.scene
+        name, curve = stroke.name, stroke.data
+        strokes = strokes_of(scene)
+        at = strokes.index(stroke)
+        rest = [other.name for other in strokes if other != stroke]
+        animation = stroke.animation_data
+        action = None if animation is None else animation.action
+        bpy.data.objects.remove(stroke)
+        for data, kept in ((curve, bpy.data.curves), (action, bpy.data.actions)):
+            if data is not None and data.users == 0:
+                kept.remove(data)
+        if rest:
+            scene.hnf.stroke_index = max(0, scene.objects.find(rest[min(at, len(rest) - 1)]))
+        return f"Deleted {name}"
+
+
+class HNF_OT_stroke_duplicate(OfStroke, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.stroke_duplicate"
+    bl_label = "Duplicate Stroke"
+    bl_description = "A second stroke like this one, with a curve and keyframes of its own"
+    bl_options = UNDOABLE
+
+    name: bpy.props.StringProperty(**NAME)
+
+    def work(self, context: Any, stroke: Any) -> str:
+        copy = stroke.copy()
+        copy.data = stroke.data.copy()
+        own_action(copy)
+        for collection in stroke.users_collection:
+            if collection.library is None:
+                collection.objects.link(copy)
+        if not copy.users_collection:
+            context.scene.collection.objects.link(copy)
+        context.view_layer.update()
+        make_active(context, copy)
+        return f"{copy.name} is a copy of {stroke.name}"
+
+
+class HNF_OT_stroke_select(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.stroke_select"
+    bl_label = "Select Stroke"
+    bl_description = "Select this stroke in the scene. Shift: add it to what is selected"
+    bl_options = UNDOABLE
+
+    name: bpy.props.StringProperty(name="Name", description="Stroke object", options={"HIDDEN", "SKIP_SAVE"})
+    extend: bpy.props.BoolProperty(
+        name="Extend", description="Keep what is selected", default=False, options={"SKIP_SAVE"}
+    )
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return needs_object_mode(cls, context)
+
+    def invoke(self, context: Any, event: Any) -> set[str]:
+        self.extend = bool(event.shift)
+        return self.execute(context)
+
+    def execute(self, context: Any) -> set[str]:
+        stroke = context.scene.objects.get(self.name)
+        if stroke is None or not stroke.hnf_stroke.is_stroke:
+            self.report({"ERROR"}, f"There is no stroke '{self.name}' in this scene")
+            return {"CANCELLED"}
+        if context.view_layer.objects.get(stroke.name) is None or not stroke.visible_get():
+            self.report({"WARNING"}, f"'{stroke.name}' is hidden in this view layer")
+        if self.extend:
+            others = [obj for obj in context.view_layer.objects.selected if obj != stroke]
+        make_active(context, stroke)
+        for obj in others if self.extend else ():
+            obj.select_set(True)
+        return {"FINISHED"}
+
+
+class HNF_OT_stroke_solo(OfStroke, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.stroke_solo"
+    bl_label = "Solo"
+    bl_description = "Mute every other stroke of the scene; once more: let all of them be heard"
+    bl_options = UNDOABLE
+
+    name: bpy.props.StringProperty(**NAME)
+
+    def work(self, context: Any, stroke: Any) -> str:
+        strokes = strokes_of(context.scene)
+        alone = [other for other in strokes if not other.hnf_stroke.mute] == [stroke]
+        for other in strokes:
+            other.hnf_stroke.mute = other != stroke and not alone
+        return "All strokes" if alone else f"Only {stroke.name}"
+
+
+CLASSES = (
+    HNF_OT_stroke_add,
+    HNF_OT_stroke_from_curve,
+    HNF_OT_stroke_delete,
+    HNF_OT_stroke_duplicate,
+    HNF_OT_stroke_select,
+    HNF_OT_stroke_solo,
+)

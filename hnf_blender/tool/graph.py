@@ -1,0 +1,67 @@
+"""A Graph Editor that shows one F-curve."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from .. import compat
+
+SHARE = 0.38
+"""Of the 3-D view's height, where an area must be split off for it."""
+SETTLED_S = 0.1
+"""A new area has no size before the next redraw; only then can its curve be fitted in."""
+
+
+def show_curve(context: Any, obj: Any, data_path: str) -> None:
+    """Show this F-curve of the active object alone, whole, in a Graph Editor of the window: the one there is, or one
+    split off the largest 3-D view."""
+    import bpy
+
+    window = context.window
+    for fcurve in compat.fcurves_of(obj):
+        fcurve.hide, fcurve.select = fcurve.data_path != data_path, fcurve.data_path == data_path
+    layer = context.view_layer
+    if layer.objects.get(obj.name) == obj:
+        obj.select_set(True, view_layer=layer)
+        layer.objects.active = obj
+    area = _graph_area(context, window)
+    area.ui_type = "FCURVES"
+    space = area.spaces.active
+    space.dopesheet.show_only_selected = True
+    space.dopesheet.show_hidden = False
+    space.use_normalization = False
+    area.tag_redraw()
+    place = list(window.screen.areas).index(area)
+    bpy.app.timers.register(partial(_fit, window.screen.name, place), first_interval=SETTLED_S)
+
+
+def _graph_area(context: Any, window: Any) -> Any:
+    import bpy
+
+    areas = window.screen.areas
+    for area in areas:
+        if area.ui_type == "FCURVES":
+            return area
+    views = [area for area in areas if area.type == "VIEW_3D"] or list(areas)
+    largest = max(views, key=lambda area: area.width * area.height)
+    before = {area.as_pointer() for area in areas}
+    with context.temp_override(window=window, area=largest):
+        bpy.ops.screen.area_split(direction="HORIZONTAL", factor=SHARE)
+    added = [area for area in window.screen.areas if area.as_pointer() not in before]
+    pair = [*added, largest]
+    return min(pair, key=lambda area: area.y)
+
+
+def _fit(screen_name: str, place: int) -> None:
+    """Timer, once: frame the whole curve."""
+    import bpy
+
+    for window in bpy.context.window_manager.windows:
+        if window.screen.name != screen_name or place >= len(window.screen.areas):
+            continue
+        area = window.screen.areas[place]
+        region = next((region for region in area.regions if region.type == "WINDOW"), None)
+        if area.type == "GRAPH_EDITOR" and region is not None:
+            with bpy.context.temp_override(window=window, area=area, region=region):
+                bpy.ops.graph.view_all()

@@ -1,0 +1,44 @@
+"""Where strokes are found without the sidebar: Add > Touch Stroke, and the right click on a curve."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+
+def add_menu(self: Any, _context: Any) -> None:
+    """Blender calls this while it draws its Add menu."""
+    self.layout.separator()
+    self.layout.menu("HNF_MT_stroke_add", text="Touch Stroke", icon="CURVE_PATH")
+
+
+def object_menu(self: Any, context: Any) -> None:
+    """Blender calls this while it draws the menu of the right click in Object Mode."""
+    active = context.view_layer.objects.active
+    if active is None or active.type not in {"CURVE", "MESH"}:
+        return
+    layout = self.layout
+    layout.separator()
+    if active.type == "MESH":
+        layout.menu("HNF_MT_stroke_add", text="Touch Stroke", icon="CURVE_PATH")
+    elif active.hnf_stroke.is_stroke:
+        layout.operator("hnf.stroke_key_force", icon="KEY_HLT")
+        layout.operator("hnf.force_graph", icon="GRAPH")
+        layout.operator("hnf.stroke_duplicate", icon="DUPLICATE")
+        layout.operator("hnf.stroke_copy_force", icon="COPYDOWN")
+    else:
+        layout.operator("hnf.stroke_from_curve", icon="CURVE_PATH")
+
+
+PLACES = (("VIEW3D_MT_add", add_menu), ("VIEW3D_MT_object_context_menu", object_menu))
+
+
+def register() -> None:
+    for menu, entry in PLACES:
+        getattr(bpy.types, menu).append(entry)
+
+
+def unregister() -> None:
+    for menu, entry in reversed(PLACES):
+        getattr(bpy.types, menu).remove(entry)

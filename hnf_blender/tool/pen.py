@@ -1,0 +1,214 @@
+"""The pen on the surface while a stroke is drawn: where it is, what it left behind, and a line that shows it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from hnf_core.action.pen_stroke import REST_S, evenly_in_time
+from hnf_core.units import m_to_mm
+
+from ..bridge.drawn_stroke import cast_on_surface
+from ..ops.active import metres_of
+from ..ui.force_colour import force_colour
+
+STEP_PX = 4.0
+"""Between two places of the pen further apart than this, rays look for the surface in between."""
+MOST_STEPS = 64
+CLICK_PX = 4.0
+LINE_PX = 4.0
+EVENT_S = 1.0 / 60.0
+"""How often a window system tells of a moving hand, at least."""
+
+Sample = tuple[tuple[float, float, float], float, float, bool]
+"""Location in the world, pressure, seconds, touching."""
+
+
+class Pen:
+    """From the press to the release; close() whatever happens."""
+
+    def __init__(self, context: Any, force_at: Callable[[float, bool], float]) -> None:
+        self.surface, self.why_not, self.is_down = "", "", False
+        self._force_at, self._area = force_at, context.area
+        self._region: Any = None
+        self._local: list[tuple[float, float, float]] = []
+        self._pressure: list[float] = []
+        self._time: list[float] = []
+        self._touching: list[bool] = []
+        self._waiting: list[tuple[float, float, float]] = []
+        self._last = (0.0, 0.0, 0.0)
+        self._travelled_px = 0.0
+        self._length, self._is_pen = 0.0, False
+        self._world = np.zeros(3)
+        self._metres = metres_of(context.scene)
+        import bpy
+
+        self._handle: Any = bpy.types.SpaceView3D.draw_handler_add(self._draw, (), "WINDOW", "POST_VIEW")
+        context.workspace.status_text_set("Press on a surface and drag to draw a stroke.  ESC or right click: give up")
+
+    def close(self, context: Any) -> None:
+        """Take the line and the text away again."""
+        import bpy
+
+        if self._handle is not None:
+            bpy.types.SpaceView3D.draw_handler_remove(self._handle, "WINDOW")
+            self._handle = None
+        if context.workspace is not None:
+            context.workspace.status_text_set(None)
+        self._tag_redraw()
+
+    @property
+    def is_click(self) -> bool:
+        """The pen did not move further than a hand trembles."""
+        return self._travelled_px < CLICK_PX
+
+    def is_over(self, event: Any) -> bool:
+        """Is the pen over the main region of the view?"""
+        return self._region_under(event) is not None
+
+    def press(self, context: Any, event: Any) -> bool:
+        """Begin; False, with why_not, where there is nothing to touch."""
+        self._region = self._region_under(event)
+        if self._region is None:
+            return False
+        x, y = event.mouse_x - self._region.x, event.mouse_y - self._region.y
+        hit = self._cast(context, x, y)
+        if hit is None:
+            self.why_not = "No mesh under the pen: press on a surface that is visible here"
+            return False
+        if hit.obj.hide_render:
+            self.why_not = f"'{hit.obj.name}' is hidden in renders, and what is touched is rendered"
+            return False
+        self.surface, self.is_down, self._is_pen = str(hit.obj.name), True, bool(event.is_tablet)
+        self._last = (x, y, self._pressure_of(event))
+        self._note(hit, time.perf_counter(), self._last[2])
+        return True
+
+    def move(self, context: Any, event: Any) -> None:
+        """Take in an event. Those in between come together with the next whole one: their times are spread."""
+        x, y = event.mouse_x - self._region.x, event.mouse_y - self._region.y
+        self._waiting.append((x, y, self._pressure_of(event)))
+        if event.type == "INBETWEEN_MOUSEMOVE":
+            return
+        now = time.perf_counter()
+        if now - self._time[-1] > REST_S:
+            self._rest_until(now - len(self._waiting) * EVENT_S)
+        for to, at in zip(self._waiting, evenly_in_time(len(self._waiting), self._time[-1], now), strict=True):
+            self._advance(context, to, float(at))
+        self._waiting.clear()
+        self._tell(context)
+
+    def samples(self, context: Any) -> list[Sample]:
+        """All of them, from time 0, in the world as the surface lies now."""
+        surface = context.scene.objects[self.surface]
+        world = np.array(surface.evaluated_get(context.evaluated_depsgraph_get()).matrix_world)
+        points = np.array(self._local) @ world[:3, :3].T + world[:3, 3]
+        return [
+            (tuple(point), pressure, now - self._time[0], touching)
+            for point, pressure, now, touching in zip(
+                points.tolist(), self._pressure, self._time, self._touching, strict=True
+            )
+        ]
+
+    def _advance(self, context: Any, to: tuple[float, float, float], now: float) -> None:
+        start, before = np.array(self._last), self._time[-1]
+        way = np.array(to) - start
+        distance = float(np.hypot(way[0], way[1]))
+        if distance == 0.0 and way[2] == 0.0:
+            return
+        count = min(MOST_STEPS, max(1, int(np.ceil(distance / STEP_PX))))
+        for k in range(1, count + 1):
+            x, y, pressure = (start + way * (k / count)).tolist()
+            self._note(self._cast(context, x, y), before + (now - before) * k / count, pressure)
+        self._travelled_px += distance
+        self._last = to
+
+    def _rest_until(self, until: float) -> None:
+        """No event came for long: the hand stayed where it was, and moves only now."""
+        self._local.append(self._local[-1])
+        self._pressure.append(self._pressure[-1])
+        self._touching.append(self._touching[-1])
+        self._time.append(max(self._time[-1], until))
+
+    def _note(self, hit: Any, now: float, pressure: float) -> None:
+        touching = hit is not None and hit.obj.name == self.surface
+        local = tuple(hit.local.tolist()) if touching else self._local[-1]
+        if touching and self._local and self._touching[-1]:
+            self._length += float(np.linalg.norm(hit.world - self._world))
+        if touching:
+            self._world = hit.world
+        self._local.append(local)
+        self._time.append(now)
+        self._pressure.append(pressure)
+        self._touching.append(touching)
+
+    def _pressure_of(self, event: Any) -> float:
+        return float(event.pressure) if self._is_pen or event.is_tablet else 1.0
+
+    def _cast(self, context: Any, x: float, y: float) -> Any:
+        from bpy_extras import view3d_utils
+
+        space = self._area.spaces.active
+        region_data = self._region.data
+        at = (x, y)
+        return cast_on_surface(
+            context.scene,
+            context.evaluated_depsgraph_get(),
+            space,
+            view3d_utils.region_2d_to_origin_3d(self._region, region_data, at),
+            view3d_utils.region_2d_to_vector_3d(self._region, region_data, at),
+        )
+
+    def _region_under(self, event: Any) -> Any:
+        """The view's main region under the pen; not where a sidebar or header lies over it."""
+        found = None
+        for region in self._area.regions:
+            inside = (
+                region.x <= event.mouse_x < region.x + region.width
+                and region.y <= event.mouse_y < region.y + region.height
+            )
+            if inside and region.type == "WINDOW":
+                found = region
+            elif inside and region.width > 1 and region.type in {"UI", "HEADER", "TOOL_HEADER", "TOOLS"}:
+                return None
+        return found
+
+    def _tell(self, context: Any) -> None:
+        force = self._force_at(self._pressure[-1], self._is_pen)
+        state = f"{force:.2f} N" if self._touching[-1] else "off the surface: silent"
+        length = m_to_mm(self._length * self._metres)
+        context.workspace.status_text_set(
+            f"Stroke on {self.surface}: {length:.0f} mm, {state}.  Release: done.  ESC or right click: give up"
+        )
+        self._tag_redraw()
+
+    def _tag_redraw(self) -> None:
+        if self._area is not None:
+            self._area.tag_redraw()
+
+    def _draw(self) -> None:
+        """Blender calls this after the 3-D view is drawn: the line so far, by force."""
+        import bpy
+        import gpu
+        from gpu_extras.batch import batch_for_shader
+
+        if len(self._local) < 2:
+            return
+        surface = bpy.data.objects.get(self.surface)
+        if surface is None:
+            return
+        pairs = [k for k in range(1, len(self._local)) if self._touching[k - 1] and self._touching[k]]
+        ends = [self._local[j] for k in pairs for j in (k - 1, k)]
+        colours = [force_colour(self._force_at(self._pressure[j], self._is_pen)) for k in pairs for j in (k - 1, k)]
+        shader = gpu.shader.from_builtin("POLYLINE_SMOOTH_COLOR")
+        batch = batch_for_shader(shader, "LINES", {"pos": ends, "color": colours})
+        shader.uniform_float("viewportSize", gpu.state.viewport_get()[2:])
+        shader.uniform_float("lineWidth", LINE_PX)
+        gpu.state.blend_set("ALPHA")
+        with gpu.matrix.push_pop():
+            gpu.matrix.multiply_matrix(surface.matrix_world)
+            batch.draw(shader)
+        gpu.state.blend_set("NONE")

@@ -1,0 +1,46 @@
+"""The stroke tool in the toolbar of the 3-D view."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from ..ops.draw import draw_style
+
+ICON = Path(__file__).resolve().parent / "data" / "hnf.stroke"
+"""Without its ending .dat, as Blender asks for it; tools/make_tool_icon.py makes it."""
+
+
+class HNF_TOOL_stroke(bpy.types.WorkSpaceTool):  # type: ignore[misc]  # noqa: N801  # bpy has no types
+    bl_space_type = "VIEW_3D"
+    bl_context_mode = "OBJECT"
+    bl_idname = "hnf.stroke"
+    bl_label = "Touch Stroke"
+    bl_description = (
+        "Stroke a surface: drag over it with a pen or the mouse. Pressure becomes force in newtons, timing becomes "
+        "speed in mm/s"
+    )
+    bl_icon = str(ICON)
+    bl_cursor = "PAINT_BRUSH"
+    bl_operator = "hnf.stroke_draw"
+    bl_keymap = (
+        (
+            "hnf.stroke_draw",
+            {"type": "LEFTMOUSE", "value": "PRESS"},
+            {"properties": [("wait_for_input", False)]},
+        ),
+    )
+
+    @staticmethod
+    def draw_settings(_context: Any, layout: Any, tool: Any) -> None:
+        draw_style(layout, tool.operator_properties("hnf.stroke_draw"))
+
+
+def register() -> None:
+    bpy.utils.register_tool(HNF_TOOL_stroke, after={"builtin.measure"}, separator=True)
+
+
+def unregister() -> None:
+    bpy.utils.unregister_tool(HNF_TOOL_stroke)

@@ -1,0 +1,273 @@
+"""Adding, converting, duplicating, deleting, selecting and soloing strokes, and their force, as the buttons do."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+from builders import add_plane, datablock_names
+from stroke_builders import LINE, act, add_stroke, key, keyed_fcurves, read
+
+from hnf_blender.bridge.strokes import stroke_objects
+from hnf_blender.props.scene import active_stroke
+from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES
+
+
+@pytest.fixture(autouse=True, scope="module")
+def operators():
+    from hnf_blender.ops import draw, force, strokes
+
+    classes = [
+        each
+        for module in (draw, strokes, force)
+        for each in module.CLASSES
+        if not hasattr(bpy.types, each.__name__) and not (each.__name__ == "HnfPenSample" and each.is_registered)
+    ]
+    for each in classes:
+        bpy.utils.register_class(each)
+    yield
+    for each in reversed(classes):
+        bpy.utils.unregister_class(each)
+
+
+def select(*objects):
+    layer = bpy.context.view_layer
+    for obj in layer.objects:
+        obj.select_set(obj in objects)
+    layer.objects.active = objects[-1] if objects else None
+
+
+def curve(obj, name):
+    return next(each for each in keyed_fcurves(obj) if each.data_path == f"hnf_stroke.{name}")
+
+
+def keys_of(obj, name="force"):
+    return [
+        (round(float(x), 3), round(float(y), 4)) for x, y in (point.co for point in curve(obj, name).keyframe_points)
+    ]
+
+
+@pytest.mark.parametrize("name", PRIMITIVE_NAMES)
+def test_add_each_ready_stroke(name):
+    select(add_plane())
+    bpy.context.scene.frame_set(7)
+    assert bpy.ops.hnf.stroke_add(primitive=name, probe="finger") == {"FINISHED"}
+    obj = active_stroke(bpy.context)
+    assert stroke_objects(bpy.context.scene) == [obj]
+    assert bpy.context.scene.objects[bpy.context.scene.hnf.stroke_index] == obj
+    assert [collection.name for collection in obj.users_collection] == ["Touch strokes"]
+    assert (obj.hnf_stroke.start, obj.hnf_stroke.probe) == (7.0, "finger")
+    action = act(obj)[3]
+    assert action.force.max() == pytest.approx(PRIMITIVES[name].force, rel=1e-3)
+    assert action.speed.max() == pytest.approx(PRIMITIVES[name].speed, rel=2e-2)
+
+
+def test_add_in_words():
+    select(add_plane())
+    assert bpy.ops.hnf.stroke_add(words="scrape right to left, 1.5 N, 80 mm/s") == {"FINISHED"}
+    action = act(active_stroke(bpy.context))[3]
+    assert action.force.max() == pytest.approx(1.5, rel=1e-3)
+    assert action.speed.max() == pytest.approx(0.08, rel=1e-2)
+    assert np.allclose(action.direction[action.speed > 0.01], [-1.0, 0.0], atol=1e-3)
+    with pytest.raises(RuntimeError, match="the word 'tickle' is unknown"):
+        bpy.ops.hnf.stroke_add(words="tickle")
+
+
+def test_a_second_stroke_goes_on_the_surface_of_the_first_and_one_material_can_be_asked_for():
+    plane = add_plane()
+    add_plane("Other").location.x = 1.0
+    select(plane)
+    bpy.ops.hnf.stroke_add()
+    assert bpy.context.view_layer.objects.active != plane
+    bpy.ops.hnf.stroke_add(slot=0)
+    assert [obj.parent for obj in stroke_objects(bpy.context.scene)] == [plane, plane]
+    with pytest.raises(RuntimeError, match="has no material slot 3"):
+        bpy.ops.hnf.stroke_add(slot=3)
+
+
+def test_nothing_to_touch_says_so():
+    with pytest.raises(RuntimeError, match="Select the mesh"):
+        bpy.ops.hnf.stroke_add()
+
+
+def test_a_curve_becomes_a_stroke():
+    add_plane()
+    line, other = add_stroke(LINE, name="Line"), add_stroke([(0, 0, 0), (0, 0.03, 0)], name="Other")
+    two = add_stroke(LINE, name="Two")
+    two.data.splines.new("POLY").points.add(1)
+    for obj in (line, other, two):
+        obj.hnf_stroke.is_stroke = False
+    bpy.context.scene.frame_set(5)
+    select(two, line, other)
+    assert bpy.ops.hnf.stroke_from_curve(speed_mm_s=40.0) == {"FINISHED"}
+    assert [obj.name for obj in stroke_objects(bpy.context.scene)] == ["Line", "Other"]
+    assert act(line)[3].speed.max() == pytest.approx(0.04, rel=1e-3)
+    assert active_stroke(bpy.context) == other
+    assert line.hnf_stroke.start == 5.0
+    select(line)
+    with pytest.raises(RuntimeError, match="no stroke yet"):
+        bpy.ops.hnf.stroke_from_curve()
+    select(two)
+    assert bpy.ops.hnf.stroke_from_curve() == {"CANCELLED"}
+    assert not two.hnf_stroke.is_stroke
+
+
+def test_delete_takes_curve_and_keys_along():
+    select(add_plane())
+    before = datablock_names()
+    bpy.ops.hnf.stroke_add()
+    first = active_stroke(bpy.context).name
+    bpy.ops.hnf.stroke_add(primitive="rub-slow")
+    second = active_stroke(bpy.context)
+    assert bpy.ops.hnf.stroke_delete(name=first) == {"FINISHED"}
+    assert stroke_objects(bpy.context.scene) == [second]
+    assert active_stroke(bpy.context) == second
+    assert bpy.ops.hnf.stroke_delete() == {"FINISHED"}
+    after = datablock_names()
+    after["collections"].remove("Touch strokes")
+    assert after == before
+    with pytest.raises(RuntimeError, match="no stroke yet"):
+        bpy.ops.hnf.stroke_delete()
+
+
+def test_duplicate_has_keys_of_its_own():
+    select(add_plane())
+    bpy.ops.hnf.stroke_add()
+    stroke = active_stroke(bpy.context)
+    before = read(stroke).samples
+    assert bpy.ops.hnf.stroke_duplicate() == {"FINISHED"}
+    copy = active_stroke(bpy.context)
+    assert copy != stroke
+    assert copy.data != stroke.data
+    assert copy.animation_data.action != stroke.animation_data.action
+    assert copy.users_collection == stroke.users_collection
+    again = read(copy).samples
+    assert np.array_equal(again.force, before.force)
+    assert np.array_equal(again.point, before.point)
+    for point in curve(copy, "force").keyframe_points:
+        point.co[1] = 0.25
+    copy.data.splines[0].bezier_points[0].co.x += 0.01
+    assert np.array_equal(read(stroke).samples.force, before.force)
+    assert np.array_equal(read(stroke).samples.point, before.point)
+
+
+def test_select_and_add_to_the_selection():
+    add_plane()
+    one, two = add_stroke(LINE, name="One"), add_stroke(LINE, name="Two")
+    bpy.ops.hnf.stroke_select(name="One")
+    assert (active_stroke(bpy.context), bpy.context.selected_objects) == (one, [one])
+    bpy.ops.hnf.stroke_select(name="Two", extend=True)
+    assert active_stroke(bpy.context) == two
+    assert set(bpy.context.selected_objects) == {one, two}
+    with pytest.raises(RuntimeError, match="no stroke 'Plane'"):
+        bpy.ops.hnf.stroke_select(name="Plane")
+
+
+def test_solo_and_back():
+    add_plane()
+    strokes = [add_stroke(LINE, name=name) for name in ("A", "B", "C")]
+    strokes[2].hnf_stroke.mute = True
+    bpy.ops.hnf.stroke_solo(name="C")
+    assert [obj.name for obj in stroke_objects(bpy.context.scene)] == ["C"]
+    bpy.ops.hnf.stroke_solo(name="A")
+    assert [obj.name for obj in stroke_objects(bpy.context.scene)] == ["A"]
+    bpy.ops.hnf.stroke_solo(name="A")
+    assert [obj.name for obj in stroke_objects(bpy.context.scene)] == ["A", "B", "C"]
+
+
+def test_key_force_at_the_playhead():
+    add_plane()
+    stroke = add_stroke(LINE, speed_mm_s=10.0)
+    select(stroke)
+    for frame, force in ((1, 0.5), (12.5, 2.0), (30, 1.0)):
+        bpy.context.scene.frame_set(int(frame), subframe=frame % 1)
+        assert bpy.ops.hnf.stroke_key_force(force_n=force) == {"FINISHED"}
+    assert keys_of(stroke) == [(1.0, 0.5), (12.5, 2.0), (30.0, 1.0)]
+    stroke.hnf_stroke.force = 1.75
+    bpy.ops.hnf.stroke_key_force()
+    assert keys_of(stroke)[-1] == (30.0, 1.75)
+    assert act(stroke)[3].force.max() == pytest.approx(2.0, abs=0.05)
+
+
+def given_and_taken():
+    add_plane()
+    given, taken = add_stroke(LINE, name="Given", speed_mm_s=60.0), add_stroke(LINE, name="Taken", speed_mm_s=30.0)
+    key(given, "force", (1, 0.5), (13, 2.0), (25, 1.0))
+    taken.hnf_stroke.start = 11.0
+    key(taken, "force", (11, 0.1), (12, 0.2), (13, 0.3), (14, 0.4))
+    select(taken, given)
+    return given, taken
+
+
+def test_copy_force_to_the_same_seconds():
+    given, taken = given_and_taken()
+    curve(given, "force").keyframe_points[1].interpolation = "LINEAR"
+    assert bpy.ops.hnf.stroke_copy_force(fit_time=False) == {"FINISHED"}
+    assert keys_of(taken) == [(11.0, 0.5), (23.0, 2.0), (35.0, 1.0)]
+    a, b = read(given).samples, read(taken).samples
+    assert np.allclose(a.force, b.force[: len(a.force)], atol=1e-5)
+
+
+def test_copy_force_fitted_to_the_duration():
+    given, taken = given_and_taken()
+    assert bpy.ops.hnf.stroke_copy_force() == {"FINISHED"}
+    a, b = read(given).samples, read(taken).samples
+    share = np.linspace(0.0, 1.0, 50)
+    seconds = [0.06 / speed + 0.1 for speed in (0.06, 0.03)]
+    ours, theirs = (
+        np.interp(share * total, samples.time, samples.force) for total, samples in zip(seconds, (a, b), strict=True)
+    )
+    assert np.allclose(ours, theirs, atol=0.02)
+
+
+def test_copy_a_force_that_is_not_keyed():
+    given, taken = given_and_taken()
+    given.animation_data_clear()
+    given.hnf_stroke.force = 1.25
+    bpy.ops.hnf.stroke_copy_force()
+    assert np.allclose(read(taken).samples.force, 1.25)
+
+
+def test_copy_needs_somebody_to_take_it():
+    given, _ = given_and_taken()
+    select(given)
+    with pytest.raises(RuntimeError, match="Select the strokes that are to get"):
+        bpy.ops.hnf.stroke_copy_force()
+
+
+def test_the_force_graph_needs_a_window():
+    select(add_stroke(LINE))
+    with pytest.raises(RuntimeError, match="needs a window"):
+        bpy.ops.hnf.force_graph()
+
+
+def test_a_force_that_is_not_keyed_gets_two_keys_for_the_graph():
+    from hnf_blender.bridge.force_keys import ensure_force_keys
+
+    add_plane()
+    stroke = add_stroke(LINE, speed_mm_s=60.0, force=1.5, start=3.0)
+    ensure_force_keys(stroke, bpy.context.scene, 1.0)
+    assert keys_of(stroke) == [(3.0, 1.5), (pytest.approx(3.0 + 24 * 1.1), 1.5)]
+    ensure_force_keys(stroke, bpy.context.scene, 1.0)
+    assert len(keys_of(stroke)) == 2
+
+
+def test_the_overlay_follows_the_force_and_the_playhead():
+    from hnf_blender.ui.force_colour import force_colour
+    from hnf_blender.ui.overlay_paths import overlay_path
+
+    plane = add_plane()
+    stroke = add_stroke(LINE, speed_mm_s=60.0, surface=plane)
+    key(stroke, "force", (1, 0.5), (25, 2.0))
+    stroke.location.y = 0.02
+    bpy.context.view_layer.update()
+    path = overlay_path(stroke, bpy.context.scene, bpy.context.evaluated_depsgraph_get(), 1.0)
+    assert np.allclose(path.points[[0, -1]], LINE, atol=1e-5)
+    assert np.allclose(path.colours[0], force_colour(0.5))
+    assert np.allclose(path.colours[-1], force_colour(2.0), atol=0.02)
+    assert (path.frames[0], path.forces[0]) == (1.0, pytest.approx(0.5))
+    arms = path.ticks.reshape(-1, 2, 2, 3)
+    assert np.allclose(arms[..., 2], 0.0, atol=1e-6)  # they lie on the plane
+    assert (arms[:, 0, 1, 0] > arms[:, 0, 0, 0]).all()  # and point where the hand goes
+    stroke.data.splines.new("POLY").points.add(1)
+    assert overlay_path(stroke, bpy.context.scene, bpy.context.evaluated_depsgraph_get(), 1.0) is None

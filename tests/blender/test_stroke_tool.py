@@ -1,0 +1,232 @@
+"""Drawing a stroke without a window: the same operator, given what a pen would have done."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+from builders import add_plane, add_sphere, datablock_names
+from stroke_builders import act, keyed_fcurves, read
+
+from hnf_blender.bridge.drawn_stroke import cast_on_surface
+from hnf_blender.props.scene import active_stroke
+from hnf_core.action.pen_stroke import FORCE_TOLERANCE_N, PATH_TOLERANCE_M, PROGRESS_TOLERANCE_M
+
+
+@pytest.fixture(autouse=True, scope="module")
+def operators():
+    from hnf_blender.ops import draw
+
+    already = hasattr(bpy.types, "HNF_OT_stroke_draw")
+    if not already:
+        for each in draw.CLASSES:
+            bpy.utils.register_class(each)
+    yield
+    if not already:
+        for each in reversed(draw.CLASSES):
+            bpy.utils.unregister_class(each)
+
+
+def samples(points, seconds=1.0, pressure=1.0, touching=True):
+    n = len(points)
+    time, press, on = np.linspace(0.0, seconds, n), np.broadcast_to(pressure, n), np.broadcast_to(touching, n)
+    return [
+        {"name": "", "location": tuple(point), "pressure": float(p), "time": float(t), "touching": bool(o)}
+        for point, p, t, o in zip(np.asarray(points, dtype=float).tolist(), press, time, on, strict=True)
+    ]
+
+
+def line(n=61, start=(-0.03, 0.0, 0.0), end=(0.03, 0.01, 0.0)):
+    return np.linspace(start, end, n)
+
+
+def draw(stroke, **settings):
+    assert bpy.ops.hnf.stroke_draw("EXEC_DEFAULT", stroke=stroke, **settings) == {"FINISHED"}
+    return active_stroke(bpy.context)
+
+
+def fcurves(obj):
+    return {curve.data_path.split(".")[-1]: curve for curve in keyed_fcurves(obj)}
+
+
+def test_it_becomes_a_stroke_on_the_surface():
+    plane = add_plane("Cloth")
+    scene = bpy.context.scene
+    scene.frame_set(12)
+    obj = draw(samples(line()))
+    assert obj.name == "Stroke on Cloth"
+    assert obj.hnf_stroke.is_stroke
+    assert (obj.parent, obj.hnf_stroke.surface) == (plane, plane)
+    assert [collection.name for collection in obj.users_collection] == ["Touch strokes"]
+    assert bpy.context.view_layer.objects.active == obj
+    assert bpy.context.selected_objects == [obj]
+    assert scene.objects[scene.hnf.stroke_index] == obj
+    assert obj.hnf_stroke.start == 12.0
+    second = draw(samples(line(end=(0.0, 0.04, 0.0))))
+    assert second.users_collection == obj.users_collection
+    assert scene.objects[scene.hnf.stroke_index] == second
+
+
+@pytest.mark.parametrize(("fps", "base"), [(24, 1.0), (30, 1.001)])
+def test_the_hand_is_where_it_was_when_it_was(fps, base):
+    add_plane("Cloth", size=0.2)
+    scene = bpy.context.scene
+    scene.render.fps, scene.render.fps_base = fps, base
+    t = np.linspace(0.0, 2.0, 241)
+    points = np.stack([0.05 * np.sin(2.0 * t), 0.03 * np.cos(3.0 * t), 0.0 * t], axis=1)
+    pressure = 0.5 + 0.3 * np.sin(4.0 * t)
+    obj = draw(samples(points, 2.0, pressure), force_min_n=0.0, force_max_n=2.0, smoothing_ms=0.0)
+    stroke = read(obj)
+    assert stroke.law == "PROGRESS"
+    at = [np.interp(stroke.samples.time, t, points[:, axis]) for axis in range(3)]
+    off = np.linalg.norm(stroke.samples.point - np.stack(at, axis=1), axis=1)
+    assert off.max() <= 2.0 * PATH_TOLERANCE_M + PROGRESS_TOLERANCE_M + 3e-4
+    assert np.abs(stroke.samples.force - np.interp(stroke.samples.time, t, 2.0 * pressure)).max() < (
+        FORCE_TOLERANCE_N + 5e-3
+    )
+    assert stroke.samples.time[-1] == pytest.approx(2.0, abs=0.01)
+    keys = fcurves(obj)
+    assert len(keys["progress"].keyframe_points) < 30
+    assert len(keys["force"].keyframe_points) < 20
+    assert len(obj.data.splines[0].bezier_points) < 30
+
+
+def test_a_mouse_presses_evenly_with_two_keys():
+    add_plane()
+    obj = draw(samples(line()), force_n=1.5)
+    assert np.allclose(act(obj)[3].force, 1.5, atol=1e-4)
+    assert len(fcurves(obj)["force"].keyframe_points) == 2
+
+
+def test_constant_speed_is_a_setting_to_change_later():
+    add_plane()
+    obj = draw(samples(line()), timing="SPEED", speed_mm_s=50.0)
+    stroke = read(obj)
+    assert stroke.law == "SPEED"
+    assert "progress" not in fcurves(obj)
+    assert stroke.samples.velocity.max() == pytest.approx(0.05, rel=1e-3)
+    assert fcurves(obj)["force"].range()[1] == pytest.approx(1.0 + 24.0 * stroke.samples.time[-1], abs=0.2)
+
+
+def test_on_a_turned_scaled_ball_in_centimetres():
+    ball = add_sphere("Ball", radius=5.0)
+    ball.location, ball.rotation_euler, ball.scale = (10.0, 20.0, 5.0), (0.3, 0.2, 1.0), (1.0, 1.2, 0.8)
+    bpy.context.scene.unit_settings.scale_length = 0.01
+    bpy.context.view_layer.update()
+    angle = np.linspace(0.4, 1.4, 80)
+    local = 5.0 * np.stack([np.cos(angle), np.sin(angle), 0.2 + 0.0 * angle], axis=1)
+    world = np.array(ball.matrix_world)
+    obj = draw(samples(local @ world[:3, :3].T + world[:3, 3]), surface="Ball")
+    stroke, contacts, _, action = act(obj, 0.01)
+    assert contacts.distance.max() < 3e-4
+    assert action.contact.all()
+    assert 0.04 < stroke.length_m < 0.07
+    before = stroke.samples.point
+    ball.location.x += 3.0
+    bpy.context.view_layer.update()
+    assert np.allclose(act(obj, 0.01)[0].samples.point, before, atol=1e-6)
+
+
+def test_the_nearest_mesh_is_taken_where_none_is_named():
+    add_plane("Far", z=-0.05)
+    near = add_plane("Near")
+    assert draw(samples(line())).parent == near
+
+
+def test_off_the_surface_it_is_silent():
+    add_plane()
+    touching = np.ones(121, dtype=bool)
+    touching[50:70] = False
+    obj = draw(samples(line(121), 2.0, touching=touching))
+    action = act(obj)[3]
+    assert 0.1 < np.mean(action.force < 2.0 * FORCE_TOLERANCE_N) < 0.25
+    beyond = draw(samples(line(121, end=(0.09, 0.0, 0.0)), 2.0))
+    assert act(beyond)[3].contact.all()
+    assert act(beyond)[1].point[:, 0].max() < 0.0551
+
+
+@pytest.mark.parametrize(
+    ("stroke", "words"),
+    [
+        (samples(line(end=(-0.0299, 0.0, 0.0))), "shorter than 0.5 mm"),
+        (samples(line()[:1]), "shorter than 0.5 mm"),
+        ([], "Nothing was drawn"),
+        (samples(line(), touching=False), "touches no surface"),
+        (samples(np.full((5, 3), np.nan)), "not a number|no surface"),
+    ],
+)
+def test_what_is_no_stroke_says_so_and_leaves_nothing(stroke, words):
+    add_plane()
+    before = datablock_names()
+    with pytest.raises(RuntimeError, match=words):
+        bpy.ops.hnf.stroke_draw("EXEC_DEFAULT", stroke=stroke, surface="Plane")
+    assert datablock_names() == before
+
+
+def test_a_surface_that_cannot_be_touched_is_named():
+    add_plane("Ghost").hide_render = True
+    with pytest.raises(RuntimeError, match="'Ghost': it is hidden in renders"):
+        bpy.ops.hnf.stroke_draw("EXEC_DEFAULT", stroke=samples(line()), surface="Ghost")
+    with pytest.raises(RuntimeError, match="no such mesh"):
+        bpy.ops.hnf.stroke_draw("EXEC_DEFAULT", stroke=samples(line()), surface="Nobody")
+
+
+def test_only_in_object_mode():
+    plane = add_plane()
+    bpy.context.view_layer.objects.active = plane
+    bpy.ops.object.mode_set(mode="EDIT")
+    with pytest.raises(RuntimeError, match="Object Mode"):
+        bpy.ops.hnf.stroke_draw("EXEC_DEFAULT", stroke=samples(line()))
+    bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def test_one_undo_step_takes_it_away():
+    add_plane()
+    bpy.ops.ed.undo_push(message="before")
+    draw(samples(line()))
+    bpy.ops.ed.undo_push(message="drawn")
+    bpy.ops.ed.undo()
+    assert [obj.name for obj in bpy.data.objects] == ["Plane"]
+    bpy.ops.ed.redo()
+    assert read(bpy.data.objects["Stroke on Plane"]).length_m > 0.06
+
+
+def ray(at=(0.0, 0.0, 1.0), way=(0.0, 0.0, -1.0)):
+    from mathutils import Vector
+
+    return cast_on_surface(bpy.context.scene, bpy.context.evaluated_depsgraph_get(), None, Vector(at), Vector(way))
+
+
+def test_rays_meet_what_a_person_sees():
+    add_plane("Floor")
+    glass = add_plane("Glass", z=0.1)
+    assert ray().obj.name == "Glass"
+    assert ray().world == pytest.approx([0.0, 0.0, 0.1])
+    glass.display_type = "WIRE"
+    bpy.context.view_layer.update()
+    assert ray().obj.name == "Floor"
+    glass.display_type = "TEXTURED"
+    glass.hide_set(True)
+    bpy.context.view_layer.update()
+    assert ray().obj.name == "Floor"
+    assert ray(at=(1.0, 0.0, 1.0)) is None
+
+
+def test_rays_pass_through_instances():
+    add_plane("Floor")
+    group = bpy.data.collections.new("Group")
+    lid = add_plane("Lid", z=0.1)
+    bpy.context.scene.collection.objects.unlink(lid)
+    group.objects.link(lid)
+    empty = bpy.data.objects.new("Empty", None)
+    empty.instance_type, empty.instance_collection = "COLLECTION", group
+    bpy.context.scene.collection.objects.link(empty)
+    bpy.context.view_layer.update()
+    assert ray().obj.name == "Floor"
+
+
+def test_the_tools_icon_is_one():
+    from hnf_blender.tool import stroke_tool
+
+    assert stroke_tool.ICON.with_suffix(".stroke.dat").is_file()
+    assert bpy.app.icons.new_triangles_from_file(str(stroke_tool.ICON) + ".dat") > 0
