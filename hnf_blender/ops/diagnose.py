@@ -2,7 +2,6 @@
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
-import importlib.metadata
 import platform
 import sys
 from pathlib import Path
@@ -13,7 +12,6 @@ import numpy
 
 from hnf_core import __version__
 from hnf_core.errors import HnfError
-from hnf_core.field.weights import load_field
 from hnf_core.material.token import ENCODER_ID
 
 from ..state.folders import cache_folder
@@ -74,13 +72,17 @@ def folder_bytes(folder: Path) -> int:
 
 
 def _version_of(package: str) -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
+        return version(package)
+    except PackageNotFoundError:
         return "not installed"
 
 
 def _field_identity() -> str:
+    from hnf_core.field.weights import load_field
+
     try:
         return load_field().identity
     except HnfError as error:

@@ -8,9 +8,7 @@ import bpy
 
 from hnf_core.errors import HnfError
 from hnf_core.material.library import load_library
-from hnf_core.material.prior import rank
 
-from ..bridge.shader_values import stated_appearance
 from ..props.scene import active_stroke
 from ..state.session import STATE
 from ..translations import tr
@@ -73,6 +71,10 @@ class HNF_OT_suggest(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  #
         return False
 
     def execute(self, context: Any) -> set[str]:
+        from hnf_core.material.prior import rank
+
+        from ..bridge.shader_values import stated_appearance
+
         obj = felt_object(context)
         try:
             for material in materials_of(obj):

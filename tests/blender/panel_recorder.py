@@ -1,0 +1,113 @@
+"""A layout that draws nothing: it checks every call against Blender's own description of UILayout, and keeps the
+words. Panels cannot be drawn without a window; what they ask for can be looked at without one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import bpy
+
+FUNCTIONS = {function.identifier: function for function in bpy.types.UILayout.bl_rna.functions}
+ICONS = {item.identifier for item in FUNCTIONS["label"].parameters["icon"].enum_items}
+SETTINGS = {prop.identifier for prop in bpy.types.UILayout.bl_rna.properties}
+
+
+class Given:
+    """Properties of an operator button; knows no others than the operator's own."""
+
+    def __init__(self, idname: str, owner: Recorder) -> None:
+        object.__setattr__(self, "_known", rna_of(idname).properties)
+        object.__setattr__(self, "_to", (idname, owner))
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        assert name in self._known, f"{self._to[0]} has no property {name}"
+        prop = self._known[name]
+        if prop.type == "ENUM" and prop.enum_items:
+            assert value in {item.identifier for item in prop.enum_items}, f"{self._to[0]}.{name} = {value!r}"
+        self._to[1].given.append((self._to[0], name, value))
+
+
+def rna_of(idname: str) -> Any:
+    """Blender's description of an operator; KeyError-like failure where there is none."""
+    module, name = idname.split(".")
+    return getattr(getattr(bpy.ops, module), name).get_rna_type()
+
+
+@dataclass
+class Recorder:
+    """One layout and all made from it: texts, operators (idnames), props (names), given (operator properties)."""
+
+    texts: list[tuple[str, bool]] = field(default_factory=list)
+    operators: list[str] = field(default_factory=list)
+    props: list[str] = field(default_factory=list)
+    given: list[tuple[str, str, Any]] = field(default_factory=list)
+
+    def __getattr__(self, name: str) -> Any:
+        assert name in FUNCTIONS, f"UILayout has no {name}"
+        return lambda *values, **named: self._call(name, values, named)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name not in self.__dataclass_fields__:
+            assert name in SETTINGS, f"UILayout has no {name}"
+            return
+        object.__setattr__(self, name, value)
+
+    def _call(self, name: str, values: tuple[Any, ...], named: dict[str, Any]) -> Any:
+        parameters = [p.identifier for p in FUNCTIONS[name].parameters if not p.is_output]
+        named = dict(zip(parameters, values, strict=False)) | named
+        for key, value in named.items():
+            assert key in parameters, f"UILayout.{name} takes no {key}"
+            if key == "icon":
+                assert value in ICONS, f"no icon {value}"
+            if key == "text":
+                assert isinstance(value, str)
+                self.texts.append((value, named.get("translate", True)))
+        if name == "prop":
+            assert named["property"] in named["data"].bl_rna.properties, named["property"]
+            self.props.append(named["property"])
+        if name == "operator":
+            self.operators.append(named["operator"])
+            return Given(named["operator"], self)
+        if name in {"menu", "popover"}:
+            wanted = named.get("menu") or named.get("panel")
+            assert hasattr(bpy.types, wanted), f"no menu {wanted}"
+        if name == "template_list":
+            assert hasattr(bpy.types, named["listtype_name"]), named["listtype_name"]
+        return self
+
+    @property
+    def words(self) -> str:
+        """Everything that stands there, a line a label."""
+        return "\n".join(text for text, _ in self.texts)
+
+
+def context_of(width: int = 300) -> Any:
+    """What a panel's draw() is given in a region of this width [px]."""
+    context = bpy.context
+    return SimpleNamespace(
+        scene=context.scene,
+        view_layer=context.view_layer,
+        window_manager=context.window_manager,
+        workspace=context.workspace,
+        screen=context.screen,
+        window=context.window,
+        area=None,
+        mode=context.mode,
+        object=context.view_layer.objects.active,
+        active_object=context.view_layer.objects.active,
+        selected_objects=list(context.view_layer.objects.selected),
+        region=SimpleNamespace(width=width),
+        preferences=SimpleNamespace(addons=context.preferences.addons, system=SimpleNamespace(ui_scale=1.0)),
+    )
+
+
+def drawn(panel: Any, width: int = 300) -> Recorder | None:
+    """What the panel asks for now; None where its poll() hides it."""
+    context = context_of(width)
+    if hasattr(panel, "poll") and not panel.poll(context):
+        return None
+    recorder = Recorder()
+    panel.draw(SimpleNamespace(layout=recorder, bl_rna=panel.bl_rna), context)
+    return recorder

@@ -1,0 +1,315 @@
+"""The Touch tab: what every panel says and asks for, empty and full, and that nothing of it stays behind."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import bpy
+import pytest
+from builders import add_plane
+from panel_recorder import Recorder, drawn, rna_of
+
+import hnf_blender.ops
+import hnf_blender.ui
+from hnf_blender.props.scene import active_stroke
+from hnf_blender.rooms import classes_of
+from hnf_blender.state.session import (
+    STATE,
+    Freshness,
+    JobStatus,
+    LastJob,
+    PlanLine,
+    PlanView,
+    StrokeStatus,
+)
+from hnf_blender.ui import texts
+from hnf_core.action.primitives import PRIMITIVES
+
+ROOT = Path(__file__).resolve().parents[2]
+UI = classes_of("hnf_blender.ui", hnf_blender.ui.MODULES)
+PANELS = [each for each in UI if issubclass(each, bpy.types.Panel)]
+LONG = "A stroke along the very long seam of the left armrest"
+
+
+@pytest.fixture(autouse=True)
+def switched_on():
+    hnf_blender.ops.register()
+    hnf_blender.ui.register()
+    STATE.clear()
+    yield
+    STATE.clear()
+    hnf_blender.ui.unregister()
+    hnf_blender.ops.unregister()
+
+
+def panel(name: str) -> type:
+    return next(each for each in PANELS if each.__name__ == name)
+
+
+def add_stroke(name: str, surface: bpy.types.Object | None = None) -> bpy.types.Object:
+    curve = bpy.data.curves.new(name, "CURVE")
+    stroke = bpy.data.objects.new(name, curve)
+    bpy.context.scene.collection.objects.link(stroke)
+    stroke.hnf_stroke.is_stroke = True
+    stroke.hnf_stroke.surface = surface
+    bpy.context.view_layer.objects.active = stroke
+    return stroke
+
+
+def fill() -> None:
+    """A scene in the middle of work: strokes in every state, a plan, a choice, suggestions, a job that failed."""
+    plane = add_plane()
+    for name in ("Oak table", "Steel"):
+        plane.data.materials.append(bpy.data.materials.new(name))
+    for freshness in Freshness:
+        name = f"{LONG} {freshness.value}"
+        add_stroke(name, plane)
+        STATE.strokes[name] = StrokeStatus(
+            freshness, "", 1.2, "Plane", "oak-wood", "8–2 mm measured, 1–0.125 mm prior", 0.64, ("fast",)
+        )
+    kinds = tuple(PlanLine(kind, f"stroke '{LONG}'", "because") for kind in texts.KINDS for _ in range(8))
+    STATE.plan = PlanView(kinds, 75.0, 48_321)
+    STATE.last_job = LastJob(False, "The bake stopped. Bake again.", ("Killed",))
+    plane.data.materials[0].hnf_touch.library = "oak-wood"
+    bpy.context.view_layer.objects.active = plane
+    bpy.ops.hnf.suggest()
+    bpy.ops.hnf.diagnose()
+
+
+WIDTHS = (120, 300, 900)
+
+
+@pytest.mark.parametrize("each", PANELS, ids=lambda each: each.__name__)
+def test_every_panel_draws_with_what_this_blender_has(each: type) -> None:
+    """Functions, icons, operators and properties are looked up in Blender's own descriptions."""
+
+    def draw() -> None:
+        for width in WIDTHS:
+            drawn(each, width)
+
+    draw()
+    fill()
+    draw()
+    for stroke in [obj for obj in bpy.context.scene.objects if obj.hnf_stroke.is_stroke]:
+        bpy.context.view_layer.objects.active = stroke
+        for law in ("PROGRESS", "SPEED", "DURATION"):
+            stroke.hnf_stroke.law = law
+            draw()
+    stroke.keyframe_insert("hnf_stroke.force", frame=1)
+    stroke.keyframe_insert("hnf_stroke.progress", frame=1)
+    stroke.hnf_stroke.material = "oak-wood"
+    draw()
+    STATE.job = JobStatus("Bake", "Close-ups", 3, 12, 4.0, 11.0)
+    draw()
+
+
+@pytest.mark.parametrize("each", PANELS, ids=lambda each: each.__name__)
+def test_drawing_changes_nothing(each: type) -> None:
+    fill()
+    before = (dict(STATE.strokes), STATE.plan, STATE.last_job, dict(STATE.suggestions), set(STATE.dirty))
+    drawn(each)
+    assert before == (dict(STATE.strokes), STATE.plan, STATE.last_job, dict(STATE.suggestions), set(STATE.dirty))
+
+
+def test_the_tab_is_in_the_order_of_the_work() -> None:
+    tops = [each for each in PANELS if not getattr(each, "bl_parent_id", "")]
+    assert {each.bl_category for each in PANELS} == {"Touch"}
+    assert [each.bl_label for each in sorted(tops, key=lambda each: each.bl_order)] == [
+        "Scene", "Materials", "Strokes", "Preview", "Export", "Actuator", "Diagnose",
+    ]  # fmt: skip
+
+
+def test_an_empty_scene_says_what_to_do_first_and_the_hint_goes_away() -> None:
+    scene = drawn(panel("HNF_PT_scene"))
+    assert scene is not None
+    assert "1  Draw a stroke" in scene.words
+    assert "no mesh" in scene.words
+    plane = add_plane()
+    scene = drawn(panel("HNF_PT_scene"))
+    assert scene is not None
+    assert "no mesh" not in scene.words
+    assert "wm.tool_set_by_id" in scene.operators
+    stroke = add_stroke("Rub", plane)
+    scene = drawn(panel("HNF_PT_scene"))
+    assert scene is not None
+    assert "2  Bake" in scene.words
+    STATE.strokes[stroke.name] = StrokeStatus(Freshness.FRESH)
+    scene = drawn(panel("HNF_PT_scene"))
+    assert scene is not None
+    assert "1  Draw" not in scene.words
+
+
+def test_a_running_job_shows_its_stage_and_the_way_out() -> None:
+    fill()
+    STATE.job = JobStatus("Bake", "Close-ups", 3, 12, 4.0, 11.0)
+    scene = drawn(panel("HNF_PT_scene"))
+    assert scene is not None
+    assert "Close-ups: 3 of 12" in scene.words
+    assert "about 11 s left" in scene.words
+    assert scene.operators == ["hnf.bake_cancel"]
+
+
+def test_the_ready_strokes_are_the_primitives() -> None:
+    menu = bpy.types.HNF_MT_stroke_add
+    recorder = Recorder()
+    menu.draw(type("Menu", (), {"layout": recorder})(), bpy.context)
+    chosen = [value for operator, name, value in recorder.given if (operator, name) == ("hnf.stroke_add", "primitive")]
+    assert chosen == list(PRIMITIVES)
+    assert "0.5 N, 100 mm/s" in recorder.words
+
+
+def test_the_active_stroke_is_the_selected_one_then_the_listed_then_the_only_one() -> None:
+    first, second = add_stroke("A"), add_stroke("B")
+    scene = bpy.context.scene
+    assert active_stroke(bpy.context) == second
+    bpy.context.view_layer.objects.active = add_plane()
+    scene.hnf.stroke_index = scene.objects.find("A")
+    assert active_stroke(bpy.context) == first
+    scene.hnf.stroke_index = scene.objects.find("Plane")
+    assert active_stroke(bpy.context) is None
+    bpy.data.objects.remove(second)
+    scene.hnf.stroke_index = 99
+    assert active_stroke(bpy.context) == first
+
+
+def test_every_operator_and_its_properties_have_tooltips() -> None:
+    bare = []
+    for each in classes_of("hnf_blender.ops", hnf_blender.ops.MODULES):
+        if issubclass(each, bpy.types.Operator):
+            rna = rna_of(each.bl_idname)
+            bare += [each.bl_idname] if not rna.description.strip() else []
+            own = [prop for prop in rna.properties if prop.identifier in each.__annotations__]
+            bare += [f"{each.bl_idname}.{prop.identifier}" for prop in own if not prop.description.strip()]
+    assert bare == []
+
+
+@pytest.mark.parametrize(
+    ("seconds", "said"),
+    [(0.2, "under 1 s"), (1.0, "1 s"), (59.4, "59 s"), (60.0, "1 min"), (200.0, "3 min 20 s"), (3900.0, "1 h 5 min")],
+)
+def test_times_are_said_as_people_do(seconds: float, said: str) -> None:
+    assert texts.time_text(seconds) == said
+
+
+@pytest.mark.parametrize(
+    ("count", "said"), [(0, "0 B"), (999, "999 B"), (1234, "1.2 kB"), (48_321, "48 kB"), (5_000_000, "5 MB")]
+)
+def test_sizes(count: int, said: str) -> None:
+    assert texts.byte_text(count) == said
+
+
+@pytest.mark.parametrize("most", [8, 12, 20, 200])
+def test_a_shortened_name_fits_and_keeps_both_ends(most: int) -> None:
+    short = texts.shortened(LONG, most)
+    assert len(short) <= most
+    assert (short[0], short[-1]) == (LONG[0], LONG[-1])
+    assert texts.shortened("Rub", most) == "Rub"
+
+
+@pytest.mark.parametrize("most", [8, 20, 60])
+def test_wrapped_lines_fit_and_lose_no_word(most: int) -> None:
+    text = "The mesh of 'Chair' changed since the bake: bake again."
+    lines = texts.wrapped(text, most)
+    assert max(len(line) for line in lines) <= most
+    assert "".join(lines).replace(" ", "") == text.replace(" ", "")
+
+
+def test_routes_are_said_in_an_artists_words() -> None:
+    assert texts.routes_lines("8–2 mm measured, 1–0.125 mm prior") == (
+        "8–2 mm: seen in the shader's relief",
+        "1–0.125 mm: taken from the library",
+    )
+    assert texts.routes_lines("") == ()
+
+
+def test_what_the_strokes_are_is_counted() -> None:
+    states = [Freshness.FRESH, Freshness.FORCE, Freshness.STALE, Freshness.BROKEN]
+    assert texts.counts_text([StrokeStatus(each) for each in states]) == "2 up to date, 1 to bake, 1 broken"
+    assert texts.counts_text([None]) == "1 not looked at"
+    assert texts.counts_text([]) == ""
+
+
+SWITCHING = """
+import bpy, sys, os
+sys.path.insert(0, {root!r})
+
+def left():
+    names = {{name for name in dir(bpy.types) if "hnf" in name.lower()}}
+    owned = {{f"{{owner}}.{{name}}" for owner in ("Object", "Scene", "Material") for name in dir(getattr(bpy.types, owner))
+             if name.startswith("hnf")}}
+    listed = {{(kind, getattr(each, "__name__", str(each))) for kind in dir(bpy.app.handlers)
+              if isinstance(getattr(bpy.app.handlers, kind), list) for each in getattr(bpy.app.handlers, kind)}}
+    keys = {{(config.name, keymap.name, item.idname) for config in bpy.context.window_manager.keyconfigs
+            for keymap in config.keymaps for item in keymap.keymap_items if item.idname.startswith("hnf")}}
+    drawn = {{(menu, each.__module__) for menu in dir(bpy.types)
+             for each in getattr(getattr(getattr(bpy.types, menu), "draw", None), "_draw_funcs", ())
+             if each.__module__.startswith("hnf")}}
+    return names, owned, listed, keys, drawn
+
+before = left()
+import hnf_blender
+for _ in range(50):
+    hnf_blender.register()
+    on = left()
+    hnf_blender.unregister()
+    assert left() == before, (left(), before)
+assert len(on[0]) > 20, on
+print("CLEAN", flush=True)
+os._exit(0)
+"""
+
+
+def test_switched_on_and_off_50_times_it_leaves_nothing() -> None:
+    run = subprocess.run(
+        [sys.executable, "-c", SWITCHING.format(root=str(ROOT))],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        stdin=subprocess.DEVNULL,
+    )
+    assert "CLEAN" in run.stdout, run.stdout + run.stderr
+    assert "Error" not in run.stdout + run.stderr
+    assert "Warning" not in run.stdout + run.stderr
+
+
+BROKEN = """
+import bpy, sys, os
+sys.path.insert(0, {root!r})
+sys.modules["hnf_blender.ui.strokes_panel"] = None  # importing it fails
+import hnf_blender
+from hnf_blender import rescue
+try:
+    hnf_blender.register()
+except ImportError as error:
+    print("RAISED", flush=True)
+    left = [name for name in dir(bpy.types) if "hnf" in name.lower()]
+    assert left == [], left
+    rescue.register(error)  # what a Blender with a window does at this point
+    assert hasattr(bpy.types, "HNF_PT_rescue")
+    words = rescue.plain_words(error)
+    assert "strokes_panel" in words and "install" in words, words
+    assert "Traceback" in rescue.report(error)
+hnf_blender.unregister()
+left = [name for name in dir(bpy.types) if "hnf" in name.lower()]
+assert left == [], left
+del sys.modules["hnf_blender.ui.strokes_panel"]
+hnf_blender.register()
+assert hasattr(bpy.types, "HNF_PT_strokes")
+hnf_blender.unregister()
+print("RESCUED", flush=True)
+os._exit(0)
+"""
+
+
+def test_where_a_part_cannot_be_loaded_nothing_half_done_stays_and_a_panel_can_say_why() -> None:
+    run = subprocess.run(
+        [sys.executable, "-c", BROKEN.format(root=str(ROOT))],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        stdin=subprocess.DEVNULL,
+    )
+    assert "RAISED" in run.stdout, run.stdout + run.stderr
+    assert "RESCUED" in run.stdout, run.stdout + run.stderr

@@ -1,0 +1,59 @@
+"""Every English text of the interface: of registered classes, and of the sources that draw."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+ADDON = Path(__file__).resolve().parents[2] / "hnf_blender"
+LOOKED_UP = {"tr"}
+"""Functions whose text is translated."""
+TEXT_ARGUMENTS = {"text", "message"}
+
+
+def strings_of_classes(classes: Iterator[Any]) -> set[str]:
+    """Labels and tooltips of classes, their properties and enum items."""
+    found: set[str] = set()
+    for each in classes:
+        found |= {getattr(each, "bl_label", ""), getattr(each, "bl_description", "")}
+        rna = each.bl_rna
+        if issubclass(each, bpy.types.Operator):
+            module, name = each.bl_idname.split(".")
+            rna = getattr(getattr(bpy.ops, module), name).get_rna_type()
+        for prop in rna.properties:
+            if prop.identifier in getattr(each, "__annotations__", {}):
+                found |= {prop.name, prop.description}
+                if prop.type == "ENUM":
+                    found |= {text for item in prop.enum_items for text in (item.name, item.description)}
+    return {text for text in found if text}
+
+
+def strings_of_sources() -> set[str]:
+    """Literals given to tr(), to poll_message_set() and to layouts as text=, in the whole add-on."""
+    found: set[str] = set()
+    for path in sorted(ADDON.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Call):
+                continue
+            name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+            if (name in LOOKED_UP or name == "poll_message_set") and node.args:
+                found |= _literals(node.args[0])
+            if name in {"label", "operator", "prop", "menu", "operator_menu_enum"}:
+                shown = {word.arg: word.value for word in node.keywords}
+                translated = shown.get("translate")
+                if "text" in shown and not (isinstance(translated, ast.Constant) and translated.value is False):
+                    found |= _literals(shown["text"])
+    return {text for text in found if any(letter.isalpha() for letter in text)}
+
+
+def _literals(node: ast.expr) -> set[str]:
+    """A text, or those of both sides of a conditional expression."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        return {node.value}
+    if isinstance(node, ast.IfExp):
+        return _literals(node.body) | _literals(node.orelse)
+    return set()
