@@ -13,8 +13,8 @@ from hnf_core.material.hnf_file import MaterialFile, parse_hnf
 from hnf_core.material.material import Appearance
 
 from .. import compat
+from ..props.material import OWN_DEFINITION
 
-PROPERTY = "hnf_material"
 INPUTS = {
     "base_color": "Base Color",
     "roughness": "Roughness",
@@ -34,7 +34,7 @@ def carry(material: Any, definition: MaterialFile) -> None:
             where=f"material '{material.name}'",
             remedy="Make it local or a library override.",
         )
-    material[PROPERTY] = definition.to_bytes()
+    material[OWN_DEFINITION] = definition.to_bytes()
     material.hnf_touch.library = ""
     material.update_tag()
 
@@ -42,16 +42,22 @@ def carry(material: Any, definition: MaterialFile) -> None:
 def carried(material: Any) -> MaterialFile | None:
     """The definition that material carries, or None. Raises FileError, naming the material, where it is damaged or
     belongs to another encoder."""
-    data = material.get(PROPERTY)
+    data = material.get(OWN_DEFINITION)
     if data is None:
         return None
     return parse_hnf(data if isinstance(data, bytes) else b"", f"material '{material.name}'")
 
 
+def own_word(material: Any) -> str | MaterialFile:
+    """What a Blender material itself says it feels like: the library material chosen by hand, else the definition that
+    it carries, else "". Raises FileError, naming the material, where that definition is damaged."""
+    return material.hnf_touch.library or carried(material) or ""
+
+
 def forget(material: Any) -> None:
     """Take the definition off again."""
-    if PROPERTY in material:
-        del material[PROPERTY]
+    if OWN_DEFINITION in material:
+        del material[OWN_DEFINITION]
 
 
 def give(obj: Any, slot: int, definition: MaterialFile) -> Any:

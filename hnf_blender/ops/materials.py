@@ -175,6 +175,10 @@ def _write(operator: Any, material_name: str, library_name: str) -> set[str]:
             ),
         )
         return {"CANCELLED"}
+    if not library_name:
+        from ..bridge.own_material import forget
+
+        forget(material)
     material.hnf_touch.library = library_name
     material.update_tag()
     STATE.dirty.add(material.name)

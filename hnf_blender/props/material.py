@@ -6,6 +6,9 @@ import bpy
 
 from .overriding import OVERRIDABLE
 
+OWN_DEFINITION = "hnf_material"
+"""ID property: the bytes of a `.hnf` file that the material carries. hnf_touch.library goes before it."""
+
 
 class HnfMaterial(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no types
     library: bpy.props.StringProperty(

@@ -13,6 +13,7 @@ import numpy as np
 from hnf_core.action.contacts import Contacts
 from hnf_core.files import content_hash
 from hnf_core.material.encoder import describe
+from hnf_core.material.hnf_file import MaterialFile
 from hnf_core.material.material import Appearance
 from hnf_core.material.token import ENCODER_ID, Token
 from hnf_core.scene.patch import Patch
@@ -34,7 +35,7 @@ SENSOR = "gelsight"
 class TouchedObject:
     """An object as strokes of this run meet it. shape_hash: of its geometry. shader_hashes: by material slot.
     place_hash: where its shaders look at the world, of its place in it, else "". frame: scene frame, None = still.
-    chosen: library materials that the artist named on the materials themselves, by slot, "" = none."""
+    chosen: what the artist said on the materials themselves, by slot: library material, definition, "" = nothing."""
 
     obj: Any
     surface: Surface
@@ -43,7 +44,7 @@ class TouchedObject:
     place_hash: str
     metres_per_unit: float
     frame: float | None = None
-    chosen: tuple[str, ...] = ()
+    chosen: tuple[str | MaterialFile, ...] = ()
 
 
 def patch_key(touched: TouchedObject, patch: Patch) -> str:

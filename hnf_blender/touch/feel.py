@@ -19,6 +19,7 @@ from hnf_core.field.stroke import StrokeInput
 from hnf_core.field.stroke_profile import stroke_profile
 from hnf_core.field.synthesis import synthesise
 from hnf_core.material.fuse import BANDS, FusedToken, fuse, routes_in_words
+from hnf_core.material.hnf_file import MaterialFile, completed
 from hnf_core.material.library import find, load_library
 from hnf_core.material.material import LibraryMaterial
 from hnf_core.material.prior import rank
@@ -160,21 +161,23 @@ def bake_stroke_steps(
 def chosen_material(
     stroke: SceneStroke, touched: TouchedObject, slot: int, choices: Mapping[int | None, str]
 ) -> LibraryMaterial | None:
-    """The artist's own choice, None where there is none: of the command line, then the stroke's, then the material's.
+    """The artist's own choice, None where there is none: of the command line, then the stroke's, then the material's
+    own, from the library or from the definition that it carries.
 
     Raises MaterialError that says where the unknown name was given, and what is close to it.
     """
     shader = _shader(touched, slot)
-    own = touched.chosen[slot] if slot < len(touched.chosen) else ""
-    asked = {
+    asked: dict[str, str | MaterialFile] = {
         "--material": choices.get(slot) or choices.get(None) or "",
         f"stroke '{stroke.name}'": stroke.material,
-        f"material '{shader}'": own,
+        f"material '{shader}'": touched.chosen[slot] if slot < len(touched.chosen) else "",
     }
-    for where, name in asked.items():
-        if name:
+    for where, word in asked.items():
+        if isinstance(word, MaterialFile):
+            return completed(word)
+        if word:
             try:
-                return find(name)
+                return find(word)
             except MaterialError as error:
                 raise MaterialError(error.what, where=where, remedy=error.remedy) from None
     return None

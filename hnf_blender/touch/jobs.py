@@ -11,6 +11,7 @@ from hnf_core.action.primitives import DEFAULT_PRIMITIVE, Primitive
 from hnf_core.cli.touch import TouchRequest
 from hnf_core.errors import HnfError, SceneError
 from hnf_core.files import content_hash
+from hnf_core.material.hnf_file import MaterialFile
 from hnf_core.material.library import LIBRARY_PATH, find
 from hnf_core.material.token import ENCODER_ID
 
@@ -18,6 +19,7 @@ from ..bridge.boxes import is_visible, neighbours_hash_parts
 from ..bridge.hashes import material_hash
 from ..bridge.importers import size_warning
 from ..bridge.meshes import Surface, flush_edits, mesh_hash, slot_materials, surface_mesh
+from ..bridge.own_material import own_word
 from ..bridge.placement import default_slots, place_primitive
 from ..bridge.stage import looks_at_world
 from ..bridge.strokes import SceneStroke, path_hash, read_stroke, stroke_objects, touch_hash
@@ -53,11 +55,11 @@ class Job:
 
 @dataclass(frozen=True)
 class SurfaceFacts:
-    """What the plan knows of an object without a triangle of it. materials: names by slot; chosen: library materials
-    named on them. shape_hash, shader_hashes, place_hash: see TouchedObject."""
+    """What the plan knows of an object without a triangle of it. materials: names by slot. chosen, shape_hash,
+    shader_hashes, place_hash: see TouchedObject."""
 
     materials: tuple[str, ...]
-    chosen: tuple[str, ...]
+    chosen: tuple[str | MaterialFile, ...]
     shape_hash: str
     shader_hashes: tuple[str, ...]
     place_hash: str
@@ -128,7 +130,7 @@ class Session:
             worldly = looks_at_world(obj, [material for material in slots if material is not None])
             self._facts[obj.name] = SurfaceFacts(
                 materials=tuple("" if material is None else material.name for material in slots),
-                chosen=tuple("" if material is None else material.hnf_touch.library for material in slots),
+                chosen=tuple("" if material is None else own_word(material) for material in slots),
                 shape_hash=mesh_hash(obj, self.depsgraph, self.metres_per_unit),
                 shader_hashes=tuple(material_hash(material) for material in slots),
                 place_hash=repr([list(row) for row in obj.matrix_world]) if worldly else "",
@@ -192,10 +194,14 @@ class Session:
             scale=repr(self.metres_per_unit),
             shape=facts.shape_hash,
             shading=content_hash(facts.place_hash, *facts.shader_hashes, *names),
-            choices=content_hash(choices, material, *facts.chosen),
+            choices=content_hash(choices, material, *(_hashable(word) for word in facts.chosen)),
             path=path,
             touch=touch,
         )
+
+
+def _hashable(word: str | MaterialFile) -> str | bytes:
+    return word if isinstance(word, str) else word.to_bytes()
 
 
 def gather(session: Session) -> Gathered:

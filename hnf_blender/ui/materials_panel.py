@@ -7,6 +7,7 @@ from typing import Any
 import bpy
 
 from ..ops.materials import felt_object, spoken
+from ..props.material import OWN_DEFINITION
 from ..state.session import STATE, StrokeStatus
 from ..translations import tr
 from .layout import TouchPanel, hint, named, paragraph
@@ -19,6 +20,8 @@ def felt_text(material: Any) -> tuple[str, str]:
     """Icon and words of what a Blender material is taken to feel like."""
     if material.hnf_touch.library:
         return "LOCKED", spoken(material.hnf_touch.library)
+    if OWN_DEFINITION in material:
+        return "LOCKED", tr("Its own definition (.hnf)")
     ranked = STATE.suggestions.get(material.name)
     if ranked:
         return "UNLOCKED", f"{spoken(ranked[0].name)} ({sure_text(ranked[0].confidence)})"
@@ -73,12 +76,11 @@ class HNF_PT_materials(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # no
 def draw_material(layout: Any, context: Any, material: Any) -> None:
     """One material: its word, the artist's lock, the suggestions."""
     icon, felt = felt_text(material)
-    chosen = bool(material.hnf_touch.library)
     box = layout.box()
     box.label(text=named(context, material.name), icon="MATERIAL", translate=False)
     row = box.row(align=True)
     row.label(text=felt, icon=icon, translate=False)
-    if chosen:
+    if icon == "LOCKED":
         row.operator("hnf.material_auto", text="Automatic", icon="LOOP_BACK").material = material.name
     column = box.column(align=True)
     ranked = STATE.suggestions.get(material.name, ())[:MOST_SUGGESTIONS]
@@ -94,6 +96,7 @@ def draw_material(layout: Any, context: Any, material: Any) -> None:
     row = box.row(align=True)
     row.operator("hnf.suggest", text="Suggest", icon="LIGHT")
     row.operator("hnf.material_choose", text="Choose…", icon="VIEWZOOM").material = material.name
+    row.operator("hnf.import_material", text="File…", icon="FILE_FOLDER")
 
 
 class HNF_PT_as_baked(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801

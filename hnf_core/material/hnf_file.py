@@ -18,8 +18,10 @@ import numpy as np
 from ..errors import FileError, MaterialError
 from ..files import write_bytes
 from .fuse import fuse
+from .library import load_library
 from .material import Appearance, LibraryMaterial
 from .mechanics import UNKNOWN, Mechanics
+from .prior import rank
 from .token import ENCODER_ID, TOKEN_DIM, Token
 
 SUFFIX = ".hnf"
@@ -103,6 +105,15 @@ class MaterialFile:
         given = {name: value for name, value in asdict(self.mechanics).items() if value is not None}
         mechanics = replace(prior.mechanics, **given)
         return LibraryMaterial(self.name, self.category, self.words, self.appearance, mechanics, token)
+
+
+def completed(material: MaterialFile) -> LibraryMaterial:
+    """material with nothing left open; what it does not know comes from the library material that is most apt by its
+    name, category, words and looks."""
+    library = load_library()
+    names = [material.name, material.category, *material.words]
+    best = rank(library, material.appearance, names)[0].name
+    return material.complete(next(entry for entry in library if entry.name == best))
 
 
 def from_library(material: LibraryMaterial, licence: str = "") -> MaterialFile:

@@ -10,8 +10,9 @@ import pytest
 from builders import add_plane
 from touch_scene import line_stroke, ridge_plate
 
-from hnf_blender.bridge.own_material import INPUTS, PROPERTY, carried, forget, give
+from hnf_blender.bridge.own_material import INPUTS, carried, forget, give
 from hnf_blender.bridge.under_cursor import first_hit
+from hnf_blender.props.material import OWN_DEFINITION
 from hnf_core.errors import FileError, SceneError
 from hnf_core.export.wav import write_wav
 from hnf_core.material.hnf_file import from_library, write_hnf
@@ -111,7 +112,7 @@ def test_it_can_be_forgotten(knit: str) -> None:
 @pytest.mark.parametrize("data", [b"", b"not a material", 7, "text"])
 def test_a_damaged_definition_is_named(data: object) -> None:
     material = bpy.data.materials.new("Worn")
-    material[PROPERTY] = data
+    material[OWN_DEFINITION] = data
     with pytest.raises(FileError, match="material 'Worn'"):
         carried(material)
 
@@ -122,7 +123,7 @@ def test_a_bad_file_changes_nothing(tmp_path: Path) -> None:
     plate = ridge_plate()
     with pytest.raises(RuntimeError, match=r"bad\.hnf.*ends early"):
         drop(str(path), target=plate.name)
-    assert PROPERTY not in plate.material_slots[0].material
+    assert OWN_DEFINITION not in plate.material_slots[0].material
 
 
 @pytest.mark.parametrize(
