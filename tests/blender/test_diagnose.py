@@ -1,0 +1,83 @@
+"""The report for whoever helps, and the cache's button."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import numpy
+import pytest
+
+import hnf_core
+from hnf_blender.ops import diagnose
+from hnf_blender.rooms import switch_off, switch_on
+from hnf_blender.state.session import STATE, JobStatus, LastJob
+from hnf_core.field.weights import load_field
+
+
+@pytest.fixture(autouse=True)
+def operators(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(diagnose, "cache_folder", lambda: tmp_path)
+    STATE.clear()
+    STATE.diagnosis = ()
+    switch_on(diagnose.CLASSES)
+    yield
+    switch_off(diagnose.CLASSES)
+    STATE.clear()
+    STATE.diagnosis = ()
+
+
+def test_the_report_names_every_part_and_where_it_lies(tmp_path: Path) -> None:
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "deep" / "patch.npz").write_bytes(bytes(2500))
+    assert bpy.ops.hnf.diagnose() == {"FINISHED"}
+    rows = dict(STATE.diagnosis)
+    assert rows["Blender"].startswith(f"{bpy.app.version[0]}.{bpy.app.version[1]}")
+    assert (rows["numpy"], rows["Add-on"]) == (numpy.__version__, hnf_core.__version__)
+    assert rows["Field"] == load_field().identity
+    assert (rows["Cache folder"], rows["Cache size"]) == (str(tmp_path), "2.5 kB")
+    assert Path(rows["Add-on folder"]).joinpath("__init__.py").is_file()
+    for package in ("OpenEXR", "embreex", "safetensors"):
+        assert rows[package][0].isdigit()
+
+
+def test_the_last_error_is_in_it() -> None:
+    STATE.last_job = LastJob(False, "The bake stopped.", ("Killed",))
+    bpy.ops.hnf.diagnose()
+    text = diagnose.as_text(STATE.diagnosis)
+    assert "failed: The bake stopped." in text
+    assert "Killed" in text
+
+
+def test_copied_is_what_is_shown() -> None:
+    assert bpy.ops.hnf.diagnose_copy() == {"FINISHED"}
+    assert STATE.diagnosis == diagnose.collect()
+    if not bpy.app.background:  # without a window there is no clipboard
+        assert bpy.context.window_manager.clipboard == diagnose.as_text(STATE.diagnosis)
+
+
+def test_lines_up() -> None:
+    assert diagnose.as_text((("A", "1"), ("Long", "2"))) == "A     1\nLong  2\n"
+
+
+def test_a_part_that_is_missing_is_said_not_raised() -> None:
+    assert diagnose._version_of("no-such-package") == "not installed"
+
+
+def test_clearing_the_cache_deletes_its_files_and_nothing_else(tmp_path: Path) -> None:
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "deep" / "patch.npz").write_bytes(bytes(10))
+    beside = tmp_path.parent / f"{tmp_path.name}-beside"
+    beside.write_bytes(b"kept")
+    assert bpy.ops.hnf.cache_clear() == {"FINISHED"}
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+    assert beside.read_bytes() == b"kept"
+    beside.unlink()
+
+
+def test_a_bake_keeps_its_cache(tmp_path: Path) -> None:
+    (tmp_path / "patch.npz").write_bytes(bytes(10))
+    STATE.job = JobStatus("Bake", "Close-ups", 1, 2, 0.0, None)
+    with pytest.raises(RuntimeError, match="bake is running"):
+        bpy.ops.hnf.cache_clear()
+    assert (tmp_path / "patch.npz").is_file()
