@@ -1,18 +1,32 @@
-"""The words of the interface in other languages. English is the key; Blender looks labels and tooltips up by itself,
-texts with figures in them are looked up by tr() before the figures go in."""
+"""The words of the interface in other languages.
+
+data/LOCALE.json holds English → translation; placeholders in braces stay. Blender looks labels and tooltips up by
+itself, texts with figures in them are looked up by tr() before the figures go in.
+"""
 
 from __future__ import annotations
 
-from .german import GERMAN
+import json
+from pathlib import Path
 
-OWNER = __name__
+OWNER = __package__ or "hnf_blender.translations"
+FOLDER = Path(__file__).resolve().parent / "data"
 CONTEXTS = ("*", "Operator")
 """Blender asks for the names of operators in a context of their own."""
 
 
+def words(locale: str) -> dict[str, str]:
+    """English → translation of one language, as its file has it."""
+    found: dict[str, str] = json.loads((FOLDER / f"{locale}.json").read_text(encoding="utf-8"))
+    return found
+
+
 def dictionary() -> dict[str, dict[tuple[str, str], str]]:
-    """What Blender is given: {locale: {(context, English): translation}}."""
-    return {"de_DE": {(context, text): said for text, said in GERMAN.items() for context in CONTEXTS}}
+    """What Blender is given: {locale: {(context, English): translation}}, of every file there is."""
+    return {
+        path.stem: {(context, text): said for text, said in words(path.stem).items() for context in CONTEXTS}
+        for path in sorted(FOLDER.glob("*.json"))
+    }
 
 
 def tr(text: str) -> str:
