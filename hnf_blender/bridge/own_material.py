@@ -14,6 +14,7 @@ from hnf_core.material.material import Appearance
 
 from .. import compat
 from ..props.material import OWN_DEFINITION
+from .keeping import keep
 
 INPUTS = {
     "base_color": "Base Color",
@@ -34,7 +35,7 @@ def carry(material: Any, definition: MaterialFile) -> None:
             where=f"material '{material.name}'",
             remedy="Make it local or a library override.",
         )
-    material[OWN_DEFINITION] = definition.to_bytes()
+    keep(material, OWN_DEFINITION, definition.to_bytes())
     material.hnf_touch.library = ""
     material.update_tag()
 

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from hnf_core.errors import SceneError
 from hnf_core.material.palette import Palette
 
+from .keeping import keep
+
 TOKEN_ATTRIBUTE = "hnf_token"
 ROUGHNESS_ATTRIBUTE = "hnf_roughness"
 CONFIDENCE_ATTRIBUTE = "hnf_confidence"
@@ -45,9 +47,9 @@ def write_tokens(mesh: Any, tokens: FaceTokens) -> None:
     _write(mesh, TOKEN_ATTRIBUTE, "INT", np.ascontiguousarray(tokens.index, dtype=np.int32))
     _write(mesh, ROUGHNESS_ATTRIBUTE, "FLOAT", np.ascontiguousarray(tokens.roughness, dtype=np.float32))
     _write(mesh, CONFIDENCE_ATTRIBUTE, "FLOAT", np.ascontiguousarray(tokens.confidence, dtype=np.float32))
-    mesh[PALETTE_PROPERTY] = tokens.palette.to_bytes()
-    mesh[SOURCE_PROPERTY] = tokens.source
-    mesh[SCHEMA_PROPERTY] = SCHEMA
+    keep(mesh, PALETTE_PROPERTY, tokens.palette.to_bytes())
+    keep(mesh, SOURCE_PROPERTY, tokens.source)
+    keep(mesh, SCHEMA_PROPERTY, SCHEMA)
 
 
 def read_tokens(mesh: Any) -> FaceTokens | None:

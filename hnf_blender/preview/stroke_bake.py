@@ -21,6 +21,8 @@ from hnf_core.errors import FileError, HnfError, SceneError, StrokeError
 from hnf_core.field.stroke import HeightProfile, StrokeInput
 from hnf_core.material.mechanics import PROBES, Mechanics
 
+from ..bridge.keeping import keep
+
 if TYPE_CHECKING:
     from ..touch.feel import BakedStroke, Felt
 
@@ -145,7 +147,7 @@ def store_bake(obj: Any, bake: StrokeBake) -> None:
             where=f"stroke '{obj.name}'",
             remedy="Make it local (Object > Relations > Make Local) to keep its bake.",
         )
-    obj[BAKE_PROPERTY] = bake.to_bytes()
+    keep(obj, BAKE_PROPERTY, bake.to_bytes())
 
 
 def load_bake(obj: Any) -> StrokeBake | None:

@@ -6,6 +6,7 @@ from typing import Any
 
 from hnf_core.errors import FileError, StrokeError
 
+from ..bridge.keeping import keep as keep_property
 from ..bridge.storage import SOURCE_PROPERTY
 from ..preview.stroke_bake import BAKE_PROPERTY, StrokeBake, load_bake, remove_bake, store_bake
 from ..state.session import Freshness, StrokeStatus
@@ -20,7 +21,7 @@ INPUTS_PROPERTY = "hnf_inputs"
 def keep(obj: Any, bake: StrokeBake, inputs: Inputs) -> None:
     """Raises SceneError for a linked object."""
     store_bake(obj, bake)
-    obj[INPUTS_PROPERTY] = inputs.to_text()
+    keep_property(obj, INPUTS_PROPERTY, inputs.to_text())
 
 
 def forget(obj: Any) -> int:
