@@ -51,10 +51,14 @@ def tick() -> float:
     """Timer: look at what changed, unless the timeline plays."""
     import bpy
 
+    from .props.scene import strokes_of
     from .state.redraw import redraw_tab
+    from .state.warm import is_ready
 
     windows = bpy.context.window_manager.windows
     if any(window.screen.is_animation_playing for window in windows):
+        return INTERVAL_S
+    if not any(strokes_of(window.scene) for window in windows) or not is_ready():
         return INTERVAL_S
     if drain((window.scene, window.view_layer) for window in windows):
         redraw_tab()

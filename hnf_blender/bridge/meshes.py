@@ -148,13 +148,13 @@ def mesh_hash(obj: Any, depsgraph: Any, metres_per_unit: float) -> str:
     digest = hashlib.blake2b(digest_size=16)
     with evaluated_mesh(evaluated, depsgraph) as mesh:
         digest.update(np.array([len(mesh.vertices), len(mesh.loops), len(mesh.polygons)], dtype=np.int64).tobytes())
-        digest.update(_read(mesh.vertices, "co", np.float32, 3).tobytes())
-        digest.update(_corner_vertices(mesh).tobytes())
-        digest.update(_read(mesh.polygons, "loop_start", np.int32).tobytes())
-        digest.update(_face_slots(mesh).tobytes())
-        digest.update(_read(mesh.corner_normals, "vector", np.float32, 3).tobytes())
+        digest.update(_read(mesh.vertices, "co", np.float32, 3).data)
+        digest.update(_corner_vertices(mesh).data)
+        digest.update(_read(mesh.polygons, "loop_start", np.int32).data)
+        digest.update(_face_slots(mesh).data)
+        digest.update(_read(mesh.corner_normals, "vector", np.float32, 3).data)
         uv = _uv(mesh)
-        digest.update(b"" if uv is None else uv.tobytes())
+        digest.update(b"" if uv is None else uv.data)
     # The polar decomposition of a turned object differs in the last bits; a micrometre a metre does not.
     digest.update(np.round(stretch / metres_per_unit, 6).tobytes() + repr(float(metres_per_unit)).encode())
     return digest.hexdigest()
@@ -258,7 +258,9 @@ def _corner_vertices(mesh: Any) -> Int:
 def _face_slots(mesh: Any) -> Int:
     """(faces,) material index, likewise; without the attribute all faces have the first slot."""
     attribute = mesh.attributes.get("material_index")
-    if attribute is None or attribute.domain != "FACE" or attribute.data_type != "INT":
+    if attribute is None:
+        return np.zeros(len(mesh.polygons), dtype=np.int32)
+    if attribute.domain != "FACE" or attribute.data_type != "INT":
         return _read(mesh.polygons, "material_index", np.int32)
     return _read(attribute.data, "value", np.int32)
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 EVERYTHING = "*"
 """In STATE.dirty: an undo, a redo or another file; nothing is known any more. No datablock is called so by Blender."""
+SETTINGS = ("start", "force", "progress", "law", "speed_mm_s", "duration_s", "seed", "probe", "material")
 BUDGET_S = 0.04
 """No new look begins in a tick after this. One look, of the shape of 100,000 faces, may take as long again."""
 
@@ -30,6 +31,7 @@ class Watch:
         self._pending: dict[str, None] = {}
         self._session: Session | None = None
         self._stamp: object = None
+        self._settings: dict[str, object] = {}
         self.expect(EVERYTHING)
 
     @property
@@ -42,7 +44,7 @@ class Watch:
         if scene is None:
             self._pending.clear()
             return
-        names = set(changed)
+        names = set(changed) | self._quiet_changes(scene)
         strokes = [obj for obj in scene.objects if obj.hnf_stroke.is_stroke]
         stamp = (scene.render.fps, scene.render.fps_base, *_scale(scene))
         if EVERYTHING in names or stamp != self._stamp:
@@ -62,6 +64,24 @@ class Watch:
         for name in names & STATE.strokes.keys():
             if scene.objects.get(name) is None:
                 del STATE.strokes[name]
+
+    def _quiet_changes(self, scene: Any) -> set[str]:
+        """Names of strokes and materials whose own settings changed: scripts do that without telling Blender."""
+        import bpy
+
+        now: dict[str, object] = {}
+        for obj in scene.objects:
+            if obj.hnf_stroke.is_stroke:
+                group, surface = obj.hnf_stroke, obj.hnf_stroke.surface
+                now[obj.name] = (
+                    *(getattr(group, name) for name in SETTINGS),
+                    None if surface is None else surface.name,
+                )
+        for material in bpy.data.materials:
+            if material.hnf_touch.library:
+                now[material.name] = material.hnf_touch.library
+        before, self._settings = self._settings, now
+        return {name for name in now.keys() | before.keys() if now.get(name) != before.get(name)}
 
     def only(self, names: set[str]) -> None:
         """Leave out whatever else is pending."""
