@@ -46,6 +46,7 @@ def collect() -> tuple[tuple[str, str], ...]:
         ("Add-on folder", str(Path(__file__).resolve().parents[1])),
         ("Cache folder", str(cache)),
         ("Cache size", byte_text(folder_bytes(cache))),
+        ("Touch data in this file", byte_text(touch_bytes())),
     ]
     if STATE.last_job is not None:
         outcome = "done" if STATE.last_job.ok else "failed"
@@ -69,6 +70,14 @@ def folder_bytes(folder: Path) -> int:
         except OSError:  # removed meanwhile
             continue
     return total
+
+
+def touch_bytes() -> int:
+    """Bytes of bakes, tokens and palettes in the open file: what purging everything would take out."""
+    from ..bridge.storage import token_bytes
+    from ..touch.stored import stored_bytes
+
+    return sum(stored_bytes(obj) for obj in bpy.data.objects) + sum(token_bytes(mesh) for mesh in bpy.data.meshes)
 
 
 def _version_of(package: str) -> str:

@@ -26,7 +26,12 @@ class HNF_PT_diagnose(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noq
         row.operator("hnf.diagnose", icon="VIEWZOOM")
         row.operator("hnf.diagnose_copy", icon="COPYDOWN")
         draw_cache(layout, STATE)
-        layout.operator("hnf.purge", text="Purge Touch Data", icon="TRASH")
+        size = dict(STATE.diagnosis).get("Touch data in this file")
+        if size:
+            text = tr("Purge Touch Data ({size})").format(size=size)
+            layout.operator("hnf.purge", text=text, icon="TRASH", translate=False)
+        else:
+            layout.operator("hnf.purge", text="Purge Touch Data", icon="TRASH")
 
 
 def draw_cache(layout: Any, state: SessionState) -> None:

@@ -43,7 +43,11 @@ class HNF_PT_scene(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: 
         column.operator("hnf.bake", text="Only the Active Stroke", icon="CURVE_DATA").only_active = True
         if strokes:
             text = counts_text(STATE.strokes.get(obj.name) for obj in strokes if not obj.hnf_stroke.mute)
-            paragraph(layout, context, text, icon="CURVE_DATA") if text else None
+            if text:
+                paragraph(layout, context, text, icon="CURVE_DATA")
+        estimate = "" if STATE.plan is None else estimate_text(STATE.plan)
+        if estimate:
+            paragraph(layout, context, estimate, icon="TIME")
         draw_last_job(layout, context)
 
 
@@ -93,7 +97,6 @@ def draw_last_job(layout: Any, context: Any) -> None:
 class HNF_PT_plan(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
     bl_label = "Plan"
     bl_parent_id = "HNF_PT_scene"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012  # Blender reads a set
 
     def draw(self, context: Any) -> None:
         layout, plan = self.layout, STATE.plan
@@ -101,9 +104,6 @@ class HNF_PT_plan(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N
         if plan is None:
             hint(layout, context, tr("Lists what a bake would do and why, how long it takes, and what it keeps"))
             return
-        estimate = estimate_text(plan)
-        if estimate:
-            paragraph(layout, context, estimate, icon="TIME")
         for icon, heading, lines in plan_groups(plan):
             column = layout.column(align=True)
             column.label(text=heading, icon=icon, translate=False)
@@ -117,7 +117,7 @@ class HNF_PT_plan(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N
 class HNF_PT_scale(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
     bl_label = "Scale"
     bl_parent_id = "HNF_PT_scene"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012  # Blender reads a set
 
     def draw(self, context: Any) -> None:
         layout, scene = self.layout, context.scene
