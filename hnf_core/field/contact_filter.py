@@ -1,13 +1,15 @@
 """The linear contact as a filter in time: profile height or pressing force in, acceleration out.
 
-Stiffness follows material and load, both slow; a small bank of impulse responses, one per material and octave of
-force, is cross-faded at the action rate.
+Stiffness follows material and load, both slow; a small bank of impulse responses, one per material and half octave of
+force, is cross-faded at the action rate. Its loads are the same for every stroke, so that pressing harder in one place
+changes nothing in another.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,8 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..material.contact import force_response, height_response
 from ..material.mechanics import PROBES, Mechanics, Probe
 from .carriers import MODEL_RATE_HZ
-from .linear_contact import FORCE_FLOOR_N
-from .modulation import interpolate
+from .modulation import interpolate, states_read
 
 Float = NDArray[np.float64]
 Response = Callable[[ArrayLike, Mechanics, Probe, ArrayLike], NDArray[np.complex128]]
@@ -24,8 +25,12 @@ Response = Callable[[ArrayLike, Mechanics, Probe, ArrayLike], NDArray[np.complex
 LEAD, TAIL = 256, 3840
 """Samples of an impulse response kept before and after t = 0 (0.38 s: a 50 Hz contact of 5 % damping is 50 dB down)."""
 _GRID = 8192
-FORCE_RATIO = 2.0
-_LEVELS = 6
+LOADS_PER_OCTAVE = 2
+"""Between two loads their responses are blended: over the library's materials 0.6 % of the response's energy norm off
+at worst, 0.02 % in the median (a test holds it)."""
+LIGHTEST_OCTAVE = -6
+"""2⁻⁶ N = 16 mN; what presses less answers alike."""
+KEPT_RESPONSES = 512
 
 
 @dataclass(frozen=True)
@@ -40,7 +45,7 @@ class FilterBank:
         """Filter signal (TAIL + count + LEAD,), which begins TAIL samples before sample `start`; (count,) m/s²."""
         count = len(signal) - LEAD - TAIL
         size = 1 << (len(signal) + kernels.shape[1] - 1).bit_length()
-        used = np.flatnonzero(np.any(self.weights > 0.0, axis=0))
+        used = np.flatnonzero(np.any(self.weights[states_read(len(self.weights), start, count)] > 0.0, axis=0))
         spectrum = np.fft.rfft(signal, size)
         fades = interpolate(self.weights[:, used], start, count)
         out = np.zeros(count)
@@ -51,32 +56,30 @@ class FilterBank:
         return out
 
 
-def filter_bank(
-    mechanics: tuple[Mechanics, ...],
-    material: NDArray[np.int32],
-    force: Float,
-    probe: str,
-    *,
-    ratio: float = FORCE_RATIO,
-    levels: int = _LEVELS,
-) -> FilterBank:
-    """Impulse responses for `levels` loads from the strongest force down by `ratio` each, for every material used.
+def filter_bank(mechanics: tuple[Mechanics, ...], material: NDArray[np.int32], force: Float, probe: str) -> FilterBank:
+    """Impulse responses of every different mechanics that is touched, at the loads next to those it is pressed with.
 
-    material: (n,) index at each state; force: (n,) N.
+    material: (n,) index into mechanics at each state; force: (n,) N.
     """
-    top = max(float(force.max(initial=0.0)), FORCE_FLOOR_N)
-    loads = top / ratio ** np.arange(levels)
-    position = np.clip(np.log(top / np.maximum(force, 1e-9)) / np.log(ratio), 0.0, levels - 1.0)
-    hat = np.maximum(1.0 - np.abs(position[:, None] - np.arange(levels)), 0.0)
+    floor = 2.0**LIGHTEST_OCTAVE
+    place = LOADS_PER_OCTAVE * np.log2(np.maximum(force, floor) / floor)
+    kinds = list(dict.fromkeys(mechanics[index] for index in np.unique(material)))
+    kind = np.array([kinds.index(each) if each in kinds else -1 for each in mechanics])[material]
     weights, height, pressing = [], [], []
-    for index in np.unique(material):
-        for level, load in enumerate(loads):
-            weights.append(hat[:, level] * (material == index))
-            height.append(impulse_response(height_response, mechanics[index], PROBES[probe], load))
-            pressing.append(impulse_response(force_response, mechanics[index], PROBES[probe], load))
+    for index, each in enumerate(kinds):
+        mine = kind == index
+        levels = np.arange(np.floor(place[mine].min()), np.ceil(place[mine].max()) + 1.0)
+        for level in levels:
+            hat = np.where(mine, np.maximum(1.0 - np.abs(place - level), 0.0), 0.0)
+            if hat.any():
+                load = floor * 2.0 ** (level / LOADS_PER_OCTAVE)
+                weights.append(hat)
+                height.append(impulse_response(height_response, each, PROBES[probe], load))
+                pressing.append(impulse_response(force_response, each, PROBES[probe], load))
     return FilterBank(np.stack(height), np.stack(pressing), np.stack(weights, axis=1))
 
 
+@lru_cache(maxsize=KEPT_RESPONSES)
 def impulse_response(response: Response, mechanics: Mechanics, probe: Probe, force: float) -> Float:
     """(LEAD + TAIL,) samples at the model rate from −LEAD on; no DC, and nothing above 4.8 kHz."""
     frequency = np.fft.rfftfreq(_GRID, 1.0 / MODEL_RATE_HZ)
@@ -88,4 +91,6 @@ def impulse_response(response: Response, mechanics: Mechanics, probe: Probe, for
     window[-fade:] = 0.5 + 0.5 * np.cos(np.pi * (np.arange(fade) + 0.5) / fade)
     kernel = kernel * window
     # A constant force or height must give exactly nothing, also after the cut.
-    return np.asarray(kernel - window * (kernel.sum() / window.sum()))
+    kernel = kernel - window * (kernel.sum() / window.sum())
+    kernel.setflags(write=False)
+    return np.asarray(kernel)

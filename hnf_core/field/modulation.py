@@ -96,6 +96,12 @@ def _lagrange(t: Float) -> tuple[Float, Float, Float, Float]:
     )
 
 
+def states_read(states: int, start: int, count: int) -> slice:
+    """The states between which samples start … start + count − 1 of the model rate lie; at least two."""
+    state, _ = _place(states, start, count)
+    return slice(int(state[0]), int(state[-1]) + 2) if count > 0 else slice(0, 0)
+
+
 def _place(states: int, start: int, count: int) -> tuple[NDArray[np.intp], Float]:
     sample = start + np.arange(count)
     state = np.clip(sample // SAMPLES_PER_STATE, 0, states - 2)
@@ -104,7 +110,10 @@ def _place(states: int, start: int, count: int) -> tuple[NDArray[np.intp], Float
 
 def _loud_stretches(amplitude: Float, state: NDArray[np.intp]) -> list[tuple[int, int]]:
     """Sample ranges in which an amplitude is not zero: nothing is computed where there is no contact."""
-    loud = np.any(amplitude != 0.0, axis=1)
-    active = np.concatenate([[False], loud[state] | loud[state + 1], [False]])
+    if len(state) == 0:
+        return []
+    first = int(state[0])
+    loud = np.any(amplitude[first : int(state[-1]) + 2] != 0.0, axis=1)
+    active = np.concatenate([[False], loud[state - first] | loud[state + 1 - first], [False]])
     edges = np.flatnonzero(np.diff(active.astype(np.int8)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -6,7 +6,7 @@ output rate is a resampling of the same signal, never another model.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +28,9 @@ from .timeline import SAMPLES_PER_STATE, condition_of, cubic, sample_count, smoo
 
 Float = NDArray[np.float64]
 
-BLOCK = 16_384
-"""Samples rendered at once: bounds memory, changes nothing else."""
-STATES_AT_ONCE = 4096
+BLOCK = 4096
+"""Samples rendered at once: bounds memory, and how much a small change costs; the last bit depends on it."""
+STATES_AT_ONCE = 128
 """States evaluated at once, likewise."""
 BEFORE_CONTACT_S, AFTER_CONTACT_S = 0.02, 0.06
 """Beyond these distances from contact the signal is exactly zero."""
@@ -42,7 +42,8 @@ class Prepared:
 
     amplitude: (n, heads, K), what is left to the noise carriers. profile_amplitude: (n, Ka) factor on the profile's
     bands. force: (n,) N as pressed. audible: (count,) 0 … 1, zero far from contact.
-    loudest: the field's largest amplitude, m/s².
+    loudest: the field's largest amplitude in each portion of states, m/s². unheld: profile_amplitude as it is
+    evaluated, before it is held where the hand rests.
     """
 
     carriers: Carriers
@@ -54,7 +55,8 @@ class Prepared:
     audible: Float
     bands: ProfileBands | None = None
     profile_amplitude: Float | None = None
-    loudest: float = 0.0
+    loudest: Float = field(default_factory=lambda: np.zeros(0))
+    unheld: Float | None = None
 
     @property
     def count(self) -> int:
@@ -68,57 +70,109 @@ def synthesise(field: Field, stroke: StrokeInput, *, seed: int, sample_rate: flo
     outside the field's training ranges is synthesised as it is, and named in warnings.
     """
     prepared = prepare(field, stroke, seed=seed)
-    blocks = [
-        render_block(prepared, start, min(BLOCK, prepared.count - start)) for start in range(0, prepared.count, BLOCK)
-    ]
+    blocks = [render_block(prepared, *block) for block in blocks_of(prepared.count)]
     samples = np.concatenate(blocks) if blocks else np.zeros(0)
+    return described(field, stroke, prepared, samples, sample_rate)
+
+
+def described(
+    field: Field, stroke: StrokeInput, prepared: Prepared, samples: Float, sample_rate: float = MODEL_RATE_HZ
+) -> Synthesis:
+    """Rendered samples (count,) as a signal, with what there is to say of it."""
     output, rate_warnings = resample(samples, MODEL_RATE_HZ, sample_rate)
     confidence, warnings = examine(field, stroke, prepared.action)
-    warnings += at_ceiling(field.config, prepared.loudest)
+    warnings += at_ceiling(field.config, float(prepared.loudest.max(initial=0.0)))
     if stroke.profile is not None and prepared.bands is None:
         warnings += ("This field has no arc-length carriers: the height profile is left out.",)
     provenance = {"probe": stroke.action.probe, "field": field.identity, "model_rate_hz": f"{MODEL_RATE_HZ:g}"}
-    signal = Signal(output.astype(np.float32), float(sample_rate), seed, provenance)
+    signal = Signal(output.astype(np.float32), float(sample_rate), prepared.seed, provenance)
     return Synthesis(signal, confidence, (*warnings, *rate_warnings))
 
 
-def prepare(field: Field, stroke: StrokeInput, *, seed: int) -> Prepared:
-    """Everything at the action rate: F_Θ, its accumulation over past states, and the profile's share."""
+def prepare(field: Field, stroke: StrokeInput, *, seed: int, earlier: Prepared | None = None) -> Prepared:
+    """Everything at the action rate: F_Θ, its accumulation over past states, and the profile's share.
+
+    earlier: of a stroke that differs from this one in force and contact alone; only portions of states in which they
+    differ are evaluated, and the result is the same.
+    """
     action, token_index = states_of(stroke)
     condition = condition_of(stroke, action, token_index)
-    carriers = field.config.carriers
-    amplitude = amplitudes(field, condition)
-    loudest = float(np.max(np.abs(amplitude), initial=0.0))
-    # The field's own gate answers to the speed of each state, but its memory is read at the speed of now.
-    amplitude[:, :, carriers.arc_slice] *= (reading_frequency(action, carriers) < BAND_END_HZ)[:, None, :]
-    pressed = np.where(action.contact, action.force, 0.0)
-    bank = filter_bank(stroke.mechanics, token_index, pressed, action.probe)
-    bands, profile_amplitude = None, None
+    carriers, count = field.config.carriers, len(action.speed)
+    bands = None
     if stroke.profile is not None and carriers.arc_count:
-        bands = split_profile(stroke.profile, carriers)
-        shares = share_power(amplitude[:, 0], bands, condition, carriers)
+        bands = split_profile(stroke.profile, carriers) if earlier is None else earlier.bands
+    reading = reading_frequency(action, carriers)
+    if earlier is None:
+        amplitude = np.empty((count, field.config.alpha_heads, carriers.count))
+        unheld = None if bands is None else np.empty((count, carriers.arc_count))
+        loudest = np.empty(-(-count // STATES_AT_ONCE))
+    else:
+        amplitude, loudest = earlier.amplitude.copy(), earlier.loudest.copy()
+        unheld = None if earlier.unheld is None else earlier.unheld.copy()
+    for portion, start in enumerate(range(0, count, STATES_AT_ONCE)):
+        rows = slice(start, min(start + STATES_AT_ONCE, count))
+        if earlier is not None and not _differ(action, earlier.action, slice(max(start - memory(field), 0), rows.stop)):
+            continue
+        amplitude[rows], height, loudest[portion] = _evaluate_portion(field, condition, bands, reading[rows], rows)
+        if unheld is not None and height is not None:
+            unheld[rows] = height
+    profile_amplitude = None
+    if unheld is not None:
         sliding = condition.contact & (condition.force > FORCE_FLOOR_N) & (condition.speed > SPEED_FLOOR_M_S)
-        profile_amplitude = held(shares.profile * _tip(condition, carriers), sliding)
-        profile_amplitude *= upper_fade(reading_frequency(action, carriers))
-        amplitude[:, :, carriers.arc_slice] *= shares.arc[:, None, :]
-        amplitude[:, :, carriers.time_slice] *= shares.time[:, None, :]
+        profile_amplitude = held(unheld, sliding) * upper_fade(reading)
+    pressed = np.where(action.contact, action.force, 0.0)
+    if earlier is not None and np.array_equal(action.contact, earlier.action.contact):
+        audible = earlier.audible
+    else:
+        audible = _audible(action.contact, sample_count(action))
     return Prepared(
-        carriers, seed, action, amplitude, bank, pressed, _audible(action.contact, sample_count(action)), bands,
-        profile_amplitude, loudest,
+        carriers, seed, action, amplitude, filter_bank(stroke.mechanics, token_index, pressed, action.probe), pressed,
+        audible, bands, profile_amplitude, loudest, unheld,
     )  # fmt: skip
 
 
-def amplitudes(field: Field, condition: Condition) -> Float:
-    """(n, heads, K) accumulated amplitudes of all states, some thousands at a time: a long stroke needs no more memory
-    than its result."""
-    count, config = len(condition.speed), field.config
-    memory = config.stride * (config.states - 1)
-    out = np.empty((count, config.alpha_heads, config.carriers.count))
-    for start in range(0, count, STATES_AT_ONCE):
-        first = max(start - memory, 0)
-        part = states_in(condition, slice(first, start + STATES_AT_ONCE))
-        out[start : start + STATES_AT_ONCE] = accumulate(config, evaluate(field, part))[start - first :]
-    return out
+def _differ(action: Action, other: Action, rows: slice) -> bool:
+    return not (
+        np.array_equal(action.force[rows], other.force[rows])
+        and np.array_equal(action.contact[rows], other.contact[rows])
+    )
+
+
+def _evaluate_portion(
+    field: Field, condition: Condition, bands: ProfileBands | None, reading: Float, rows: slice
+) -> tuple[Float, Float | None, float]:
+    """Amplitudes of a portion of states, of the noise (m, heads, K) and of the profile (m, Ka), and the largest that
+    the field gave. reading: (m, Ka) Hz of the portion."""
+    carriers = field.config.carriers
+    amplitude = amplitudes(field, condition, rows)
+    loudest = float(np.max(np.abs(amplitude), initial=0.0))
+    # The field's own gate answers to the speed of each state, but its memory is read at the speed of now.
+    amplitude[:, :, carriers.arc_slice] *= (reading < BAND_END_HZ)[:, None, :]
+    if bands is None:
+        return amplitude, None, loudest
+    part = states_in(condition, rows)
+    shares = share_power(amplitude[:, 0], bands, part, carriers)
+    amplitude[:, :, carriers.arc_slice] *= shares.arc[:, None, :]
+    amplitude[:, :, carriers.time_slice] *= shares.time[:, None, :]
+    return amplitude, shares.profile * _tip(part, carriers), loudest
+
+
+def memory(field: Field) -> int:
+    """States before its own that a state's amplitudes follow from."""
+    config = field.config
+    return config.stride * (config.states - 1) if config.accumulation == "past" else 0
+
+
+def amplitudes(field: Field, condition: Condition, rows: slice) -> Float:
+    """(m, heads, K) accumulated amplitudes of the states in rows."""
+    first = max(rows.start - memory(field), 0)
+    part = states_in(condition, slice(first, rows.stop))
+    return accumulate(field.config, evaluate(field, part))[rows.start - first :]
+
+
+def blocks_of(count: int) -> list[tuple[int, int]]:
+    """(start, length) of the blocks in which count samples are rendered."""
+    return [(start, min(BLOCK, count - start)) for start in range(0, count, BLOCK)]
 
 
 def reading_frequency(action: Action, carriers: Carriers) -> Float:
@@ -186,10 +240,13 @@ def held(amplitude: Float, sliding: NDArray[np.bool_]) -> Float:
     rows = np.flatnonzero(sliding)
     if len(rows) == 0:
         return np.zeros_like(amplitude)
-    place = np.interp(np.arange(len(amplitude)), rows, np.arange(len(rows)))
+    gaps = np.flatnonzero(~sliding)
+    place = np.interp(gaps, rows, np.arange(len(rows)))
     low = np.floor(place).astype(np.intp)
     high, share = np.minimum(low + 1, len(rows) - 1), (place - low)[:, None]
-    return np.asarray((1.0 - share) * amplitude[rows[low]] + share * amplitude[rows[high]])
+    out = amplitude.copy()
+    out[gaps] = (1.0 - share) * amplitude[rows[low]] + share * amplitude[rows[high]]
+    return out
 
 
 def _tip(condition: Condition, carriers: Carriers) -> Float:
