@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-OWNER = __package__ or "hnf_blender.translations"
+OWNER = __name__
 FOLDER = Path(__file__).resolve().parent / "data"
 CONTEXTS = ("*", "Operator")
 """Blender asks for the names of operators in a context of their own."""

@@ -1,47 +1,51 @@
-"""How long Blender spends inside the add-on's own calls: modal operators, draw methods, handlers."""
+"""How long Blender spends inside the add-on's own Python: operators, panels, overlays, handlers, timers, whatever."""
 
+import sys
+import threading
 import time
-from functools import wraps
-
-import bpy
 
 from .addon import MODULE
 
-METHODS = {
-    bpy.types.Operator: ("invoke", "modal", "execute", "poll"),
-    bpy.types.Panel: ("draw", "draw_header", "poll"),
-    bpy.types.UIList: ("draw_item", "filter_items"),
-    bpy.types.Menu: ("draw",),
-}
-HANDLERS = [name for name in dir(bpy.app.handlers) if isinstance(getattr(bpy.app.handlers, name), list)]
+WATCH = sys.monitoring
+TOOL = WATCH.PROFILER_ID
+FOLDER = MODULE.rpartition(".")[2]
 
 
 class Spent:
-    """Context manager. calls: name → seconds of every call; longest, longest_name: of the longest single one.
+    """Context manager. calls: function that Blender called → seconds of every call; only the outermost one counts.
 
-    What GPU draw handlers take is part of the window's gaps, not of these calls: Blender keeps them to itself.
+    It sees every function of the add-on on the main thread, so that nothing can be forgotten; what Blender does
+    itself on our behalf (saving a copy, drawing our labels) is included where it happens inside such a call.
     """
 
     def __init__(self) -> None:
         self.calls: dict[str, list[float]] = {}
-        self._restore: list = []
+        self._depth, self._since, self._name = 0, 0.0, ""
+        self._thread = threading.get_ident()
 
     def __enter__(self):
-        for base, methods in METHODS.items():
-            for kind in base.__subclasses__():
-                if kind.__module__.startswith(MODULE):
-                    self._wrap_class(kind, methods)
-        for name in HANDLERS:
-            handlers = getattr(bpy.app.handlers, name)
-            for place, handler in enumerate(handlers):
-                if getattr(handler, "__module__", "").startswith(MODULE):
-                    handlers[place] = self._timed(f"{name}: {handler.__name__}", handler)
-                    self._restore.append(lambda handlers=handlers, place=place, own=handler: restore(handlers, own))
+        events = WATCH.events
+        WATCH.use_tool_id(TOOL, "hnf tests")
+        for event in (events.PY_START, events.PY_RESUME):
+            WATCH.register_callback(TOOL, event, self._enter)
+        for event in (events.PY_RETURN, events.PY_YIELD):
+            WATCH.register_callback(TOOL, event, self._leave)
+        WATCH.register_callback(TOOL, events.PY_THROW, self._thrown_into)
+        WATCH.register_callback(TOOL, events.PY_UNWIND, self._unwound)
+        WATCH.set_events(
+            TOOL,
+            events.PY_START
+            | events.PY_RESUME
+            | events.PY_RETURN
+            | events.PY_YIELD
+            | events.PY_THROW
+            | events.PY_UNWIND,
+        )
         return self
 
     def __exit__(self, *_):
-        for undo in reversed(self._restore):
-            undo()
+        WATCH.set_events(TOOL, 0)
+        WATCH.free_tool_id(TOOL)
 
     @property
     def longest(self) -> float:
@@ -51,27 +55,36 @@ class Spent:
     def longest_name(self) -> str:
         return max(self.calls, key=lambda name: max(self.calls[name]), default="")
 
-    def _wrap_class(self, kind, methods) -> None:
-        for method in methods:
-            own = kind.__dict__.get(method)
-            if callable(own):
-                setattr(kind, method, self._timed(f"{kind.__name__}.{method}", own))
-                self._restore.append(lambda kind=kind, method=method, own=own: setattr(kind, method, own))
+    def _enter(self, code, _offset):
+        if not is_ours(code):
+            return WATCH.DISABLE
+        if threading.get_ident() == self._thread:
+            if self._depth == 0:
+                self._since, self._name = time.perf_counter(), code.co_qualname
+            self._depth += 1
+        return None
 
-    def _timed(self, name, function):
-        @wraps(function)
-        def timed(*args, **kwargs):
-            started = time.perf_counter()
-            try:
-                return function(*args, **kwargs)
-            finally:
-                self.calls.setdefault(name, []).append(time.perf_counter() - started)
+    def _leave(self, code, _offset, _value):
+        if not is_ours(code):
+            return WATCH.DISABLE
+        self._left()
+        return None
 
-        return timed
+    def _thrown_into(self, code, offset, _error):
+        if is_ours(code):
+            self._enter(code, offset)
+
+    def _unwound(self, code, _offset, _error):
+        if is_ours(code):
+            self._left()
+
+    def _left(self) -> None:
+        if threading.get_ident() != self._thread or self._depth == 0:  # entered before the watch began
+            return
+        self._depth -= 1
+        if self._depth == 0:
+            self.calls.setdefault(self._name, []).append(time.perf_counter() - self._since)
 
 
-def restore(handlers, own) -> None:
-    """Put a handler back in the place of its timed twin, wherever that stands now."""
-    for place, handler in enumerate(handlers):
-        if getattr(handler, "__wrapped__", None) is own:
-            handlers[place] = own
+def is_ours(code) -> bool:
+    return f"/{FOLDER}/" in code.co_filename and "/extensions/" in code.co_filename

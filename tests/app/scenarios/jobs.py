@@ -9,9 +9,10 @@ from drive import scenery
 from drive.addon import baked, children, job_folders, kept, start_bake, state, strokes
 from drive.timing import Spent
 
-STAGES = ("starting", "reading", "close-ups", "synthesis", "comparing")
 LONG_S = 2.0  # four times what is promised: this may run on a busy machine
 QUICK = 0.005
+BEGUN = "its first words"
+"""Not a stage's name: whatever follows the start."""
 
 
 def prepare(stage, number):
@@ -19,8 +20,8 @@ def prepare(stage, number):
     scenery.empty_room()
     plate = scenery.plate(material=scenery.ribbed_material(scale=20.0 + 0.1 * number), size_m=0.12)
     for k in range(3):
-        obj = scenery.stroke_on(plate, f"Stroke {k + 1}", 0.08, seconds=2.0, turned=0.5 * k)
-        obj.hnf_stroke.seed = number
+        obj = scenery.stroke_on(plate, f"Stroke {k + 1}", 0.02, seconds=3.0)  # one or two close-ups, long synthesis
+        obj.hnf_stroke.seed = number + k
     yield 0.4
     yield from scenery.look_at(stage, plate)
     bpy.ops.ed.undo_push(message="prepared")
@@ -33,7 +34,7 @@ def until_stage(stage, word):
         job = state().job
         if job is None:
             return False
-        if word in job.stage:
+        if word in job.stage or (word == BEGUN and "starting" not in job.stage):
             return True
         yield QUICK
     return False
@@ -92,8 +93,8 @@ def check_cancel_while_starting(stage):
     yield from cancelled_at(stage, "starting", 1)
 
 
-def check_cancel_while_reading(stage):
-    yield from cancelled_at(stage, "reading", 2)
+def check_cancel_at_its_first_words(stage):
+    yield from cancelled_at(stage, BEGUN, 2)
 
 
 def check_cancel_among_close_ups(stage):
@@ -142,7 +143,7 @@ def check_the_window_lives_while_100k_faces_bake(stage):
     scenery.empty_room()
     plate = scenery.plate("Fine plate", cuts=316, size_m=0.2)
     for k in range(3):
-        scenery.stroke_on(plate, f"Long {k}", 0.12, seconds=3.0, turned=0.4 * k)
+        scenery.stroke_on(plate, f"Long {k}", 0.06, seconds=2.0, turned=0.4 * k)
     yield 0.5
     yield from scenery.look_at(stage, plate)
     yield from stage.show_tab()
@@ -160,7 +161,8 @@ def check_the_window_lives_while_100k_faces_bake(stage):
             if ticks == 60:
                 stage.photograph("baking-100k-faces")
     stage.expect("it baked", state().last_job.ok, state().last_job)
-    stage.measured("100k faces: longest single call of ours", 1e3 * spent.longest, f"ms ({spent.longest_name})")
+    for name, times in sorted(spent.calls.items(), key=lambda one: -max(one[1]))[:4]:
+        stage.measured(f"100k faces: longest of {len(times)} calls of {name}", 1e3 * max(times), "ms")
     stage.measured("100k faces: longest gap between two steps of the window", 1e3 * max(gaps), "ms")
     stage.measured("100k faces: 95 % of gaps below", 1e3 * sorted(gaps)[int(0.95 * len(gaps))], "ms")
     stage.expect("ours is short", spent.longest < 0.5, f"{spent.longest:.3f} s in {spent.longest_name}")
