@@ -1,0 +1,81 @@
+"""Every text of the interface has a German one, with the same figures in it, and Blender finds it."""
+
+from __future__ import annotations
+
+import string
+
+import bpy
+import pytest
+from ui_strings import strings_of_classes, strings_of_sources
+
+import hnf_blender
+from hnf_blender import translations
+from hnf_blender.ops.materials import LIBRARY
+from hnf_blender.ui import texts
+
+GERMAN = translations.words("de_DE")
+
+
+def our_classes() -> list[type]:
+    named = [getattr(bpy.types, name) for name in dir(bpy.types)]
+    bases = (bpy.types.PropertyGroup, bpy.types.AddonPreferences)
+    named += [each for base in bases for each in base.__subclasses__()]
+    ours = [each for each in named if getattr(each, "__module__", "").startswith("hnf_blender")]
+    return list(dict.fromkeys(ours))
+
+
+def test_every_text_has_a_german_one(switched_on: None) -> None:
+    tables = (texts.LOOKS.values(), texts.KINDS.values())
+    wanted = strings_of_classes(our_classes()) | strings_of_sources() | set(texts.ROUTE_WORDS.values())
+    wanted |= {text for table in tables for _, text in table}
+    wanted -= {text for _, label, words in LIBRARY for text in (label, words)}  # names, searched for as they are
+    assert len(wanted) > 200
+    assert sorted(wanted - set(GERMAN)) == []
+
+
+def test_placeholders_stay() -> None:
+    for text, said in GERMAN.items():
+        assert said.strip(), text
+        assert fields(text) == fields(said), text
+
+
+def test_blender_speaks_german_when_asked_and_english_again(switched_on: None) -> None:
+    view = bpy.context.preferences.view
+    if "de_DE" not in {item.identifier for item in view.bl_rna.properties["language"].enum_items} | languages(view):
+        pytest.skip("this Blender was built without languages")
+    kept = view.language, view.use_translate_interface
+    try:
+        view.language, view.use_translate_interface = "de_DE", True
+        assert texts.time_text(0.1) == "unter 1 s"
+        assert translations.tr("no such text") == "no such text"
+    finally:
+        view.language, view.use_translate_interface = kept
+    assert texts.time_text(0.1) == "under 1 s"
+
+
+@pytest.fixture
+def switched_on():
+    """The whole add-on, as Blender switches it on; the properties that the session needs come back after it."""
+    from hnf_blender import props
+
+    had = hasattr(bpy.types.Object, "hnf_stroke")
+    if had:
+        props.unregister()
+    hnf_blender.register()
+    yield
+    hnf_blender.unregister()
+    if had:
+        props.register()
+
+
+def languages(view: bpy.types.PreferencesView) -> set[str]:
+    """Languages this Blender offers; its list is made while it runs."""
+    try:
+        view.language = "no such language"
+    except TypeError as error:
+        return {word.strip(" '") for word in str(error).split("(")[-1].strip(") ").split(",")}
+    return set()
+
+
+def fields(text: str) -> list[str]:
+    return sorted(name for _, name, _, _ in string.Formatter().parse(text) if name)
