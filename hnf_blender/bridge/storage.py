@@ -53,9 +53,14 @@ def write_tokens(mesh: Any, tokens: FaceTokens) -> None:
 
 
 def read_tokens(mesh: Any) -> FaceTokens | None:
-    """What write_tokens stored, or None where the mesh carries nothing (or another schema's data)."""
-    if mesh.get(SCHEMA_PROPERTY) != SCHEMA or any(
-        mesh.attributes.get(name) is None for name in (TOKEN_ATTRIBUTE, ROUGHNESS_ATTRIBUTE, CONFIDENCE_ATTRIBUTE)
+    """What write_tokens stored; None where the mesh carries nothing (or another schema's data), and in Edit Mode, where
+    Blender shows no attribute's values."""
+    if (
+        mesh.is_editmode
+        or mesh.get(SCHEMA_PROPERTY) != SCHEMA
+        or any(
+            mesh.attributes.get(name) is None for name in (TOKEN_ATTRIBUTE, ROUGHNESS_ATTRIBUTE, CONFIDENCE_ATTRIBUTE)
+        )
     ):
         return None
     return FaceTokens(
