@@ -30,7 +30,7 @@ FLOORS = (
     ("datasets",),
     ("training",),
     ("baselines",),
-    ("export",),
+    ("export", "actuators"),
     ("evaluation",),
     ("cli",),
 )
