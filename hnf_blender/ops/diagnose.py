@@ -94,7 +94,7 @@ def _field_identity() -> str:
 
     try:
         return load_field().identity
-    except HnfError as error:
+    except (HnfError, ImportError) as error:
         return str(error)
 
 

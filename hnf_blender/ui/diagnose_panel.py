@@ -9,7 +9,7 @@ import bpy
 from ..ops.diagnose import versions
 from ..state.session import STATE, SessionState
 from ..translations import tr
-from .layout import TouchPanel, paragraph
+from .layout import TouchPanel, paragraph, side_by_side
 
 
 class HNF_PT_diagnose(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801  # bpy has no types
@@ -22,7 +22,7 @@ class HNF_PT_diagnose(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noq
         column = layout.column(align=True)
         for name, value in STATE.diagnosis or versions():
             paragraph(column, context, f"{tr(name)}: {value}" if name else value, icon="NONE" if name else "BLANK1")
-        row = layout.row(align=True)
+        row = side_by_side(layout, context)
         row.operator("hnf.diagnose", icon="VIEWZOOM")
         row.operator("hnf.diagnose_copy", icon="COPYDOWN")
         draw_cache(layout, STATE)

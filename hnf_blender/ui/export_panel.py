@@ -8,7 +8,7 @@ import bpy
 
 from ..props.scene import active_stroke, strokes_of
 from ..translations import tr
-from .layout import TouchPanel, hint
+from .layout import TouchPanel, hint, side_by_side
 
 
 class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801  # bpy has no types
@@ -21,7 +21,7 @@ class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa:
         if not strokes_of(scene):
             hint(layout, context, tr("Draw and bake a stroke first; then it can be written as a WAV file in m/s²"))
         layout.prop(scene.hnf, "export_folder", text="")
-        row = layout.row(align=True)
+        row = side_by_side(layout, context)
         row.operator("hnf.export_wav", text="This Stroke", icon="FILE_SOUND").all = False
         row.operator("hnf.export_wav", text="All", icon="EXPORT").all = True
         column = layout.column(align=True)

@@ -6,10 +6,12 @@ from typing import Any
 
 from .texts import shortened, wrapped
 
-CHARACTER_PX = 6.3
+CHARACTER_PX = 6.6
 """Mean width of a character of Blender's interface font at resolution scale 1."""
-MARGIN_PX = 46
-"""Left and right of a label with an icon inside a box inside a panel."""
+MARGIN_PX = 78
+"""What is no text in a line of a boxed label: borders, the icon, the column of tabs."""
+NARROW = 26
+"""Characters in a line below which buttons stand under each other."""
 
 
 class TouchPanel:
@@ -32,6 +34,11 @@ def paragraph(layout: Any, context: Any, text: str, icon: str = "NONE", indent: 
     column.scale_y = 0.8
     for place, line in enumerate(wrapped(text, characters(context) - indent)):
         column.label(text=line, icon=icon if place == 0 or icon == "NONE" else "BLANK1", translate=False)
+
+
+def side_by_side(layout: Any, context: Any) -> Any:
+    """A row for a few buttons; a column where the region is too narrow to read them beside each other."""
+    return layout.column(align=True) if characters(context) < NARROW else layout.row(align=True)
 
 
 def hint(layout: Any, context: Any, text: str) -> None:

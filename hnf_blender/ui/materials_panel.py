@@ -10,7 +10,7 @@ from ..ops.materials import felt_object, spoken
 from ..props.material import OWN_DEFINITION
 from ..state.session import STATE, StrokeStatus
 from ..translations import tr
-from .layout import TouchPanel, hint, named, paragraph
+from .layout import TouchPanel, hint, named, paragraph, side_by_side
 from .texts import routes_lines, sure_text
 
 MOST_SUGGESTIONS = 4
@@ -93,7 +93,7 @@ def draw_material(layout: Any, context: Any, material: Any) -> None:
         choose.material, choose.name = material.name, suggestion.name
     if ranked:
         paragraph(box, context, tr("Why: {reason}").format(reason=ranked[0].reason), icon="INFO")
-    row = box.row(align=True)
+    row = side_by_side(box, context)
     row.operator("hnf.suggest", text="Suggest", icon="LIGHT")
     row.operator("hnf.material_choose", text="Choose…", icon="VIEWZOOM").material = material.name
     row.operator("hnf.import_material", text="File…", icon="FILE_FOLDER")

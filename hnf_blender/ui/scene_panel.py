@@ -9,7 +9,7 @@ import bpy
 from ..props.scene import strokes_of
 from ..state.session import STATE
 from ..translations import tr
-from .layout import TouchPanel, hint, named, paragraph
+from .layout import TouchPanel, hint, named, paragraph, side_by_side
 from .texts import (
     AUDIBLE,
     counts_text,
@@ -40,7 +40,7 @@ class HNF_PT_scene(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: 
         row = column.row(align=True)
         row.scale_y = 1.4
         row.operator("hnf.bake", text="Bake", icon="RENDER_STILL").only_active = False
-        column.operator("hnf.bake", text="Only the Active Stroke", icon="CURVE_DATA").only_active = True
+        column.operator("hnf.bake", text="Bake Active Only", icon="CURVE_DATA").only_active = True
         if strokes:
             text = counts_text(STATE.strokes.get(obj.name) for obj in strokes if not obj.hnf_stroke.mute)
             if text:
@@ -66,7 +66,7 @@ def draw_first_steps(layout: Any, context: Any, strokes: list[Any]) -> None:
         if not any(obj.type == "MESH" for obj in context.scene.objects):
             paragraph(box, context, tr("There is no mesh to touch yet: add or import one"), icon="ERROR")
             return
-        row = box.row(align=True)
+        row = side_by_side(box, context)
         row.operator("wm.tool_set_by_id", text="Stroke Tool", icon="GREASEPENCIL").name = "hnf.stroke"
         row.menu("HNF_MT_stroke_add", text="Ready Strokes", icon="ADD")
 

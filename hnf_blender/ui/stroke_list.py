@@ -10,9 +10,11 @@ from hnf_core.action.primitives import PRIMITIVES
 
 from ..state.session import STATE
 from ..translations import tr
-from .layout import named
-from .texts import look
+from .layout import characters
+from .texts import look, shortened
 
+NAME_SHARE = 0.74
+"""Of a row of the list; the rest is for solo and mute."""
 PRIMITIVE_ICONS = {"scrape": "IPO_LINEAR", "rub": "FORCE_VORTEX"}
 
 
@@ -43,14 +45,17 @@ class HNF_UL_strokes(bpy.types.UIList):  # type: ignore[misc]  # noqa: N801
         self, context: Any, layout: Any, _data: Any, obj: Any, _icon: int, _active_data: Any, _active: str, _index: int
     ) -> None:
         status = STATE.strokes.get(obj.name)
-        row = layout.row(align=True)
+        row = layout.split(factor=NAME_SHARE)
         row.active = not obj.hnf_stroke.mute
         name = row.row(align=True)
         name.alignment = "LEFT"
         select = name.operator(
-            "hnf.stroke_select", text=named(context, obj.name, taken=13), icon=look(status)[0], emboss=False,
+            "hnf.stroke_select",
+            text=shortened(obj.name, max(4, int(NAME_SHARE * characters(context)) - 2)),
+            icon=look(status)[0],
+            emboss=False,
             translate=False,
-        )  # fmt: skip
+        )
         select.name = obj.name
         switches = row.row(align=True)
         switches.alignment = "RIGHT"
@@ -73,8 +78,10 @@ class HNF_UL_strokes(bpy.types.UIList):  # type: ignore[misc]  # noqa: N801
 
 def is_solo(scene: Any, stroke: Any) -> bool:
     """Is it the only stroke of several that is not muted?"""
-    strokes = [obj for obj in scene.objects if obj.hnf_stroke.is_stroke]
-    return len(strokes) > 1 and [obj for obj in strokes if not obj.hnf_stroke.mute] == [stroke]
+    if stroke.hnf_stroke.mute:
+        return False
+    others = (obj.hnf_stroke.mute for obj in scene.objects if obj.hnf_stroke.is_stroke and obj != stroke)
+    return bool(next(others, False)) and all(others)
 
 
 CLASSES = (HNF_MT_stroke_add, HNF_UL_strokes)

@@ -11,7 +11,7 @@ from ..ops.materials import spoken
 from ..props.scene import active_stroke, strokes_of
 from ..state.session import STATE
 from ..translations import tr
-from .layout import TouchPanel, hint, named, paragraph
+from .layout import TouchPanel, hint, named, paragraph, side_by_side
 from .texts import look
 
 ROWS = (3, 8)
@@ -25,7 +25,7 @@ class HNF_PT_strokes(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa
     def draw(self, context: Any) -> None:
         layout, scene = self.layout, context.scene
         strokes = strokes_of(scene)
-        row = layout.row(align=True)
+        row = side_by_side(layout, context)
         row.operator("wm.tool_set_by_id", text="Stroke Tool", icon="GREASEPENCIL").name = "hnf.stroke"
         row.menu("HNF_MT_stroke_add", text="Ready Strokes", icon="ADD")
         if not strokes:
@@ -117,7 +117,7 @@ class HNF_PT_stroke_force(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # n
         split = layout.column()
         split.use_property_split = True
         split.prop(stroke.hnf_stroke, "force", text="Force (N)")
-        row = layout.row(align=True)
+        row = side_by_side(layout, context)
         row.operator("hnf.stroke_key_force", text="Key", icon="KEY_HLT")
         row.operator("hnf.force_graph", text="Graph Editor", icon="GRAPH")
         layout.operator("hnf.stroke_copy_force", text="Copy Force to Selected", icon="COPYDOWN")
