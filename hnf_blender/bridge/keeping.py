@@ -1,18 +1,59 @@
-"""ID properties that come back as they were given."""
+"""Properties of a datablock that come back as they were given, from a library override too.
+
+An override saves no ID property that holds bytes or is new on it; it does save registered text. So on a stroke that is
+an override, everything goes into one of those: Object.hnf_stroke.kept, JSON of text and of bytes in base 85.
+"""
 
 from __future__ import annotations
 
+import base64
+import json
 from typing import Any
 
 
-def keep(block: Any, name: str, value: Any) -> None:
-    """Set ID property name of a datablock to value: text, bytes or a number.
+def keep(block: Any, name: str, value: bytes | str | int) -> None:
+    """Set property name of a datablock to value.
 
-    The old value goes first: over bytes Blender writes only what comes before the first zero (4.2, 4.5, 5.0). On a
-    library override the property is marked as overridden, else the next load forgets it.
+    The old value goes first: over bytes Blender writes only what comes before the first zero (4.2, 4.5, 5.0).
     """
+    if _is_override(block):
+        encoded = {"bytes": base64.b85encode(value).decode()} if isinstance(value, bytes) else value
+        block.hnf_stroke.kept = json.dumps({**_own(block), name: encoded})
+        return
     if name in block:
         del block[name]
     block[name] = value
-    if block.override_library is not None:
-        block.property_overridable_library_set(f'["{name}"]', True)
+
+
+def kept(block: Any, name: str) -> Any:
+    """What keep set; None where there is nothing, b"" where an override's bytes are damaged."""
+    own = _own(block) if _is_override(block) else {}
+    if name not in own:
+        return block.get(name)
+    value = own[name]
+    if not isinstance(value, dict):
+        return value
+    try:
+        return base64.b85decode(value["bytes"])
+    except (ValueError, KeyError, TypeError):
+        return b""
+
+
+def drop(block: Any, name: str) -> None:
+    """Take property name off a datablock. On an override, what the linked original holds stays hidden."""
+    if _is_override(block):
+        block.hnf_stroke.kept = json.dumps({**_own(block), name: None})
+    elif name in block:
+        del block[name]
+
+
+def _is_override(block: Any) -> bool:
+    return block.override_library is not None and hasattr(block, "hnf_stroke")
+
+
+def _own(block: Any) -> dict[str, Any]:
+    """What the override itself holds; {} where its text is damaged: the original's shows then."""
+    try:
+        return dict(json.loads(block.hnf_stroke.kept or "{}"))
+    except (ValueError, TypeError):
+        return {}

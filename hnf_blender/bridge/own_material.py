@@ -28,12 +28,18 @@ INPUTS = {
 
 def carry(material: Any, definition: MaterialFile) -> None:
     """Make definition what material feels like, in place of a choice made before. Raises SceneError where material is
-    linked from another file."""
+    linked from another file, or a library override, which would forget it with the next load."""
     if not material.is_editable:
         raise SceneError(
             "it is linked from another file.",
             where=f"material '{material.name}'",
-            remedy="Make it local or a library override.",
+            remedy="Make it local.",
+        )
+    if material.override_library is not None:
+        raise SceneError(
+            "it is a library override, which keeps no definition.",
+            where=f"material '{material.name}'",
+            remedy="Make it local, or choose a material of the library.",
         )
     keep(material, OWN_DEFINITION, definition.to_bytes())
     material.hnf_touch.library = ""

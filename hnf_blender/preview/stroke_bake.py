@@ -21,7 +21,7 @@ from hnf_core.errors import FileError, HnfError, SceneError, StrokeError
 from hnf_core.field.stroke import HeightProfile, StrokeInput
 from hnf_core.material.mechanics import PROBES, Mechanics
 
-from ..bridge.keeping import keep
+from ..bridge.keeping import drop, keep, kept
 
 if TYPE_CHECKING:
     from ..touch.feel import BakedStroke, Felt
@@ -152,7 +152,7 @@ def store_bake(obj: Any, bake: StrokeBake) -> None:
 
 def load_bake(obj: Any) -> StrokeBake | None:
     """What store_bake kept, or None. Raises FileError where it is damaged."""
-    data = obj.get(BAKE_PROPERTY)
+    data = kept(obj, BAKE_PROPERTY)
     if data is None:
         return None
     where = f"stroke '{obj.name}'"
@@ -163,8 +163,7 @@ def load_bake(obj: Any) -> StrokeBake | None:
 
 def remove_bake(obj: Any) -> None:
     """Forget the bake of a stroke, if it has one."""
-    if BAKE_PROPERTY in obj:
-        del obj[BAKE_PROPERTY]
+    drop(obj, BAKE_PROPERTY)
 
 
 _AGAIN = "Bake the stroke again."

@@ -93,6 +93,12 @@ class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no ty
         description="Library material to use whatever the surface looks like; empty: as baked",
         override=OVERRIDABLE,
     )
+    kept: bpy.props.StringProperty(
+        name="Kept",
+        description="The bake of a stroke that is a library override: such a one saves registered text only",
+        options={"HIDDEN"},
+        override=OVERRIDABLE,
+    )
 
 
 def register() -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 from hnf_core.errors import FileError, StrokeError
 
-from ..bridge.keeping import keep as keep_property
+from ..bridge import keeping
 from ..bridge.storage import SOURCE_PROPERTY
 from ..preview.stroke_bake import BAKE_PROPERTY, StrokeBake, load_bake, remove_bake, store_bake
 from ..state.session import Freshness, StrokeStatus
@@ -21,21 +21,20 @@ INPUTS_PROPERTY = "hnf_inputs"
 def keep(obj: Any, bake: StrokeBake, inputs: Inputs) -> None:
     """Raises SceneError for a linked object."""
     store_bake(obj, bake)
-    keep_property(obj, INPUTS_PROPERTY, inputs.to_text())
+    keeping.keep(obj, INPUTS_PROPERTY, inputs.to_text())
 
 
 def forget(obj: Any) -> int:
     """Remove what keep left; returns the bytes freed."""
     freed = stored_bytes(obj)
     remove_bake(obj)
-    if INPUTS_PROPERTY in obj:
-        del obj[INPUTS_PROPERTY]
+    keeping.drop(obj, INPUTS_PROPERTY)
     return freed
 
 
 def stored_bytes(obj: Any) -> int:
     """How much keep left on a stroke's curve object."""
-    data, text = obj.get(BAKE_PROPERTY), obj.get(INPUTS_PROPERTY)
+    data, text = keeping.kept(obj, BAKE_PROPERTY), keeping.kept(obj, INPUTS_PROPERTY)
     return (len(data) if isinstance(data, bytes) else 0) + (len(text) if isinstance(text, str) else 0)
 
 
@@ -83,6 +82,6 @@ def tokens_are_there(obj: Any, facts: SurfaceFacts) -> bool:
 
 
 def _what_changed(obj: Any, job: Job, bake: StrokeBake) -> str:
-    earlier = Inputs.from_text(obj.get(INPUTS_PROPERTY))
+    earlier = Inputs.from_text(keeping.kept(obj, INPUTS_PROPERTY))
     words = job.inputs.changes(earlier) if earlier is not None and earlier.path_key == bake.path_key else ()
     return f"Since the bake {' and '.join(words)} changed. Bake it again." if words else "Changed since it was baked."

@@ -1,0 +1,430 @@
+"""What an artist's day does to a file: nothing that was made is lost, and nothing that is stale is used in silence."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import bpy
+import pytest
+from builders import add_plane, bump_material
+from job_scene import kept
+from touch_scene import line_stroke, ridge_plate
+
+from hnf_blender.bridge.keeping import drop, keep
+from hnf_blender.bridge.keeping import kept as kept_of
+from hnf_blender.bridge.own_material import carried, give
+from hnf_blender.bridge.storage import read_tokens
+from hnf_blender.compat import fcurves_of
+from hnf_blender.jobs import running
+from hnf_blender.preview.stroke_bake import BAKE_PROPERTY, load_bake
+from hnf_blender.props.material import OWN_DEFINITION
+from hnf_blender.state.session import STATE, Freshness
+from hnf_blender.state.watch import refresh_status
+from hnf_core.field.synthesis import synthesise
+from hnf_core.field.weights import load_field
+from hnf_core.material.hnf_file import from_library
+from hnf_core.material.library import find
+
+FRESH, FORCE, STALE, BROKEN = Freshness.FRESH, Freshness.FORCE, Freshness.STALE, Freshness.BROKEN
+KNIT = from_library(find("wool-knit"))
+SHORT = {"length": 0.012}
+SAVE_WITHOUT = """
+import os, sys, bpy
+bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
+assert not hasattr(bpy.types.Object, "hnf_stroke")
+bpy.ops.wm.save_as_mainfile(filepath=sys.argv[2])
+sys.stdout.flush()
+os._exit(0)
+"""
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(autouse=True)
+def apart(operators: None, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Close-ups in a folder of these tests' own; nothing remembered of the file before."""
+    monkeypatch.setattr(running, "cache_folder", lambda: cache)
+    STATE.clear()
+
+
+@pytest.fixture(scope="module")
+def saved(cache: Path, operators: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two surfaces, one with a choice and one with a definition of its own, two strokes, all baked."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    plate, block = ridge_plate(), ridge_plate(name="Block")
+    block.location.z = -0.2
+    plate.material_slots[0].material.hnf_touch.library = "oak-wood"
+    give(block, 0, KNIT)
+    line_stroke("Along", surface=plate, seed=3, **SHORT)
+    line_stroke("Below", surface=block, centre=(0.0, 0.0, -0.2), material="", speed_mm_s=80.0, **SHORT)
+    bpy.context.scene.hnf.monitor_gain_db = -6.0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(running, "cache_folder", lambda: cache)
+        assert bpy.ops.hnf.bake() == {"FINISHED"}
+    path = tmp_path_factory.mktemp("saved") / "scene.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    return path
+
+
+def opened(path: Path) -> dict:
+    """Open a file; everything the add-on keeps in it."""
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    return everything()
+
+
+def everything() -> dict:
+    return {
+        **kept(),
+        "strokes": {obj.name: settings(obj.hnf_stroke) for obj in bpy.data.objects if obj.hnf_stroke.is_stroke},
+        "keys": {
+            obj.name: sorted((curve.data_path, [tuple(key.co) for key in curve.keyframe_points])
+                             for curve in fcurves_of(obj))
+            for obj in bpy.data.objects
+        },
+        "choices": {each.name: (each.hnf_touch.library, carried(each)) for each in bpy.data.materials},
+        "scenes": {scene.name: settings(scene.hnf) for scene in bpy.data.scenes},
+    }  # fmt: skip
+
+
+def settings(group) -> dict:
+    values = {name: getattr(group, name) for name in group.bl_rna.properties.keys() if name != "rna_type"}  # noqa: SIM118
+    return {name: getattr(value, "name", value) for name, value in values.items()}
+
+
+def statuses(**where) -> dict:
+    scene = where.pop("scene", bpy.context.scene)
+    bpy.context.view_layer.update()
+    refresh_status(scene, **where)
+    return {name: status.freshness for name, status in STATE.strokes.items()}
+
+
+def heard(name: str) -> bytes:
+    bake = load_bake(bpy.data.objects[name])
+    return synthesise(load_field(), bake.stroke, seed=bake.seed).signal.samples.tobytes()
+
+
+def bake(**words) -> None:
+    assert bpy.ops.hnf.bake(**words) == {"FINISHED"}
+
+
+def append(path: Path, *names: str, link: bool = False) -> list:
+    with bpy.data.libraries.load(str(path), link=link) as (_, wanted):
+        wanted.objects = list(names)
+    for obj in wanted.objects:
+        bpy.context.scene.collection.objects.link(obj)
+    for obj in list(bpy.data.objects):  # surfaces come along as what the strokes point to
+        if obj.type == "MESH" and not obj.users_scene:
+            bpy.context.scene.collection.objects.link(obj)
+    bpy.context.view_layer.update()
+    return list(wanted.objects)
+
+
+def duplicate(*objects) -> None:
+    bpy.ops.object.select_all(action="DESELECT")
+    for obj in objects:
+        obj.select_set(True)
+    bpy.context.view_layer.objects.active = objects[0]
+    bpy.ops.object.duplicate()
+
+
+# Save and reload
+
+
+def test_everything_comes_back_from_the_file(saved: Path, tmp_path: Path) -> None:
+    first = opened(saved)
+    assert first["bakes"].keys() == {"Along", "Below"}
+    assert first["tokens"].keys() == {"Plate", "Block"}
+    assert first["strokes"]["Along"]["seed"] == 3
+    assert len(first["keys"]["Along"][0][1]) == 4
+    assert first["choices"]["Block plastic"] == ("", KNIT)
+    assert statuses() == {"Along": FRESH, "Below": FRESH}
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "again.blend"))
+    assert opened(tmp_path / "again.blend") == first
+    assert statuses() == {"Along": FRESH, "Below": FRESH}
+
+
+def test_saved_by_a_blender_without_the_addon_it_loses_nothing(saved: Path, tmp_path: Path) -> None:
+    first = opened(saved)
+    again = tmp_path / "without.blend"
+    command = [sys.executable, "-c", SAVE_WITHOUT, str(saved), str(again)]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=60, stdin=subprocess.DEVNULL)
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert opened(again) == first
+    assert statuses() == {"Along": FRESH, "Below": FRESH}
+
+
+def test_work_goes_on_after_a_reload(saved: Path) -> None:
+    opened(saved)
+    bpy.data.objects["Along"].hnf_stroke.seed = 11
+    assert statuses() == {"Along": FORCE, "Below": FRESH}
+    bpy.data.objects["Below"].hnf_stroke.speed_mm_s = 50.0
+    assert statuses() == {"Along": FORCE, "Below": STALE}
+    before = heard("Along")
+    bake()
+    assert statuses() == {"Along": FRESH, "Below": FRESH}
+    assert heard("Along") != before  # another seed, another signal
+
+
+def test_a_property_is_kept_whole_when_it_is_written_again() -> None:
+    block = bpy.data.meshes.new("Any")
+    for data in (b"PK\x01\x00\x02" * 10, b"PK\x01\x00\x02\x03" * 30, b"", b"\x00\x01"):
+        keep(block, "data", data)
+        assert block["data"] == data
+
+
+# Append, link, override, duplicate
+
+
+def test_an_appended_stroke_brings_its_surface_and_its_bake(saved: Path) -> None:
+    first = opened(saved)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    (stroke,) = append(saved, "Along")
+    assert stroke.hnf_stroke.surface == bpy.data.objects["Plate"]
+    assert bytes(stroke[BAKE_PROPERTY]) == first["bakes"]["Along"]
+    assert statuses() == {"Along": FRESH}
+    assert everything()["tokens"] == {"Plate": first["tokens"]["Plate"]}
+
+
+def test_a_linked_stroke_is_heard_and_left_alone(saved: Path) -> None:
+    first = opened(saved)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    (stroke,) = append(saved, "Along", link=True)
+    assert statuses() == {"Along": FRESH}
+    bpy.context.scene.unit_settings.scale_length = 0.9  # this scene is smaller than the one it comes from
+    assert statuses() == {"Along": STALE}
+    with pytest.raises(RuntimeError, match="0 strokes baked"):
+        bpy.ops.hnf.bake()
+    assert any("'Along': it is linked from" in line for line in STATE.last_job.details)
+    assert bytes(stroke[BAKE_PROPERTY]) == first["bakes"]["Along"]
+
+
+def test_an_overridden_stroke_is_felt_otherwise_and_keeps_its_own_bake(saved: Path, tmp_path: Path) -> None:
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    (linked,) = append(saved, "Along", link=True)
+    original = bytes(linked[BAKE_PROPERTY])
+    stroke = linked.override_create(remap_local_usages=True)
+    bpy.context.view_layer.update()
+    assert statuses() == {"Along": FRESH}
+    stroke.hnf_stroke.speed_mm_s, stroke.hnf_stroke.material = 60.0, "cork"
+    assert statuses() == {"Along": STALE}
+    bake()
+    made = kept_of(stroke, BAKE_PROPERTY)
+    assert made != original
+    assert statuses() == {"Along": FRESH}
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "user.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "user.blend"))
+    (again,) = [obj for obj in bpy.context.scene.objects if obj.type == "CURVE"]
+    assert (again.hnf_stroke.speed_mm_s, again.hnf_stroke.material) == (60.0, "cork")
+    assert kept_of(again, BAKE_PROPERTY) == made
+    assert statuses() == {"Along": FRESH}
+    drop(again, BAKE_PROPERTY)
+    assert kept_of(again, BAKE_PROPERTY) is None
+    assert statuses() == {"Along": Freshness.UNBAKED}
+
+
+def test_a_duplicated_stroke_is_a_stroke_of_its_own(saved: Path) -> None:
+    opened(saved)
+    stroke = bpy.data.objects["Along"]
+    duplicate(stroke)
+    copy = bpy.data.objects["Along.001"]
+    assert statuses() == {"Along": FRESH, "Along.001": FRESH, "Below": FRESH}
+    assert heard("Along.001") == heard("Along")
+    copy.hnf_stroke.speed_mm_s = 50.0
+    copy.location.y = 0.01
+    assert statuses() == {"Along": FRESH, "Along.001": STALE, "Below": FRESH}
+
+
+def test_duplicated_with_its_surface_it_touches_the_copy(saved: Path) -> None:
+    opened(saved)
+    duplicate(bpy.data.objects["Along"], bpy.data.objects["Plate"])
+    copy = bpy.data.objects["Along.001"]
+    assert copy.hnf_stroke.surface == bpy.data.objects["Plate.001"]
+    found = statuses()
+    assert (found["Along"], found["Below"]) == (FRESH, FRESH)
+    # Its surface has another name, which materials are guessed by.
+    assert found["Along.001"] == STALE
+    bake()
+    assert set(statuses().values()) == {FRESH}
+    assert heard("Along.001") == heard("Along")
+
+
+# Rename, reorder, edit
+
+
+def test_a_renamed_stroke_stays_fresh(saved: Path) -> None:
+    opened(saved)
+    bpy.data.objects["Along"].name = "Another name"
+    assert statuses() == {"Another name": FRESH, "Below": FRESH}
+
+
+@pytest.mark.parametrize("what", ["surface", "material"])
+def test_a_renamed_surface_or_material_is_shown_as_stale_and_bakes_to_the_same(saved: Path, what: str) -> None:
+    """Names are what materials are guessed by; where the artist has chosen, the signal stays what it was."""
+    opened(saved)
+    before = heard("Along")
+    plate = bpy.data.objects["Plate"]
+    (plate if what == "surface" else plate.material_slots[0].material).name = "Other"
+    assert statuses() == {"Along": STALE, "Below": FRESH}
+    assert "materials of the surface" in STATE.strokes["Along"].why or "path" in STATE.strokes["Along"].why
+    bake()
+    assert statuses() == {"Along": FRESH, "Below": FRESH}
+    assert heard("Along") == before
+
+
+def test_slots_in_another_order_are_noticed_and_feel_the_same(saved: Path) -> None:
+    opened(saved)
+    before = heard("Along")
+    plate = bpy.data.objects["Plate"]
+    plate.data.materials.append(bump_material("Second"))
+    bpy.context.view_layer.objects.active = plate
+    plate.active_material_index = 1
+    with bpy.context.temp_override(object=plate, active_object=plate):
+        bpy.ops.object.material_slot_move(direction="UP")
+    assert [slot.material.name for slot in plate.material_slots] == ["Second", "Plate plastic"]
+    assert statuses() == {"Along": STALE, "Below": FRESH}
+    bake()
+    assert heard("Along") == before
+
+
+def test_an_edited_mesh_makes_its_strokes_stale_and_no_other(saved: Path) -> None:
+    opened(saved)
+    bpy.data.objects["Plate"].data.vertices[0].co.z += 0.01
+    bpy.data.objects["Plate"].data.update()
+    assert statuses() == {"Along": STALE, "Below": FRESH}
+    assert "shape of the surface" in STATE.strokes["Along"].why
+    bpy.data.objects["Plate"].data.vertices[0].co.z -= 0.01
+    bpy.data.objects["Plate"].data.update()
+    assert statuses()["Along"] in (FRESH, STALE)
+
+
+def test_a_changed_choice_is_stale_and_taken_back_is_fresh(saved: Path) -> None:
+    opened(saved)
+    material = bpy.data.objects["Plate"].material_slots[0].material
+    material.hnf_touch.library = "silk"
+    assert statuses() == {"Along": STALE, "Below": FRESH}
+    assert "material choice" in STATE.strokes["Along"].why
+    material.hnf_touch.library = "oak-wood"
+    assert statuses() == {"Along": FRESH, "Below": FRESH}
+
+
+def test_a_definition_is_felt_and_its_loss_is_noticed(saved: Path) -> None:
+    opened(saved)
+    found = load_bake(bpy.data.objects["Below"])
+    assert found.facts["library_material"] == "wool-knit"
+    assert set(found.stroke.mechanics) == {KNIT.mechanics}
+    material = bpy.data.objects["Block"].material_slots[0].material
+    data = material[OWN_DEFINITION]
+    del material[OWN_DEFINITION]
+    assert statuses() == {"Along": FRESH, "Below": STALE}
+    keep(material, OWN_DEFINITION, data[:-1])
+    assert statuses() == {"Along": FRESH, "Below": BROKEN}
+    assert "material 'Block plastic'" in STATE.strokes["Below"].why
+    keep(material, OWN_DEFINITION, data)
+    assert statuses() == {"Along": FRESH, "Below": FRESH}
+
+
+# Scenes and view layers
+
+
+def test_each_scene_bakes_its_own_strokes_on_a_shared_object(saved: Path) -> None:
+    first = opened(saved)
+    plate = bpy.data.objects["Plate"]
+    second = bpy.data.scenes.new("Second")
+    second.collection.objects.link(plate)
+    stroke = line_stroke("There", surface=plate, centre=(0.0, 0.02, 0.0), **SHORT)
+    bpy.context.scene.collection.objects.unlink(stroke)
+    second.collection.objects.link(stroke)
+    assert statuses().keys() == {"Along", "Below"}
+    with bpy.context.temp_override(scene=second, view_layer=second.view_layers[0]):
+        bake()
+    assert {name: bytes(bpy.data.objects[name][BAKE_PROPERTY]) for name in first["bakes"]} == first["bakes"]
+    assert statuses(scene=second, view_layer=second.view_layers[0])["There"] == FRESH
+    assert statuses() == {"Along": FRESH, "Below": FRESH}
+    assert len(read_tokens(plate.data).palette) >= 1
+
+
+def test_a_surface_hidden_in_one_view_layer_is_there_in_the_other(saved: Path) -> None:
+    opened(saved)
+    scene, plate = bpy.context.scene, bpy.data.objects["Plate"]
+    aside = bpy.data.collections.new("Aside")
+    scene.collection.children.link(aside)
+    aside.objects.link(plate)
+    scene.collection.objects.unlink(plate)
+    other = scene.view_layers.new("Other")
+    other.layer_collection.children["Aside"].exclude = True
+    found = statuses(view_layer=other)
+    assert found == {"Along": BROKEN, "Below": FRESH}
+    assert "'Plate'" in STATE.strokes["Along"].why
+    assert statuses(view_layer=scene.view_layers[0]) == {"Along": FRESH, "Below": FRESH}
+
+
+# Edit Mode, undo
+
+
+def test_a_surface_in_edit_mode_is_baked_as_it_is_being_edited(saved: Path) -> None:
+    import bmesh
+
+    opened(saved)
+    plate = bpy.data.objects["Plate"]
+    bpy.context.view_layer.objects.active = plate
+    bpy.ops.object.mode_set(mode="EDIT")
+    edited = bmesh.from_edit_mesh(plate.data)
+    edited.verts.ensure_lookup_table()
+    edited.verts[0].co.x -= 0.01
+    bmesh.update_edit_mesh(plate.data)
+    bpy.ops.hnf.bake()
+    assert plate.mode == "EDIT"
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert statuses() == {"Along": FRESH, "Below": FRESH}
+    assert plate.data.vertices[0].co.x < -0.065
+
+
+def test_a_stroke_in_edit_mode_is_baked(saved: Path) -> None:
+    opened(saved)
+    stroke = bpy.data.objects["Along"]
+    stroke.hnf_stroke.speed_mm_s = 70.0
+    bpy.context.view_layer.objects.active = stroke
+    bpy.ops.object.mode_set(mode="EDIT")
+    bake()
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert statuses() == {"Along": FRESH, "Below": FRESH}
+
+
+def test_a_commit_is_one_step_to_undo_and_redo(saved: Path) -> None:
+    first = opened(saved)
+    bpy.ops.ed.undo_push(message="opened")
+    bpy.data.objects["Along"].hnf_stroke.speed_mm_s = 70.0
+    bpy.ops.ed.undo_push(message="speed")
+    assert bpy.ops.hnf.bake("EXEC_DEFAULT", True) == {"FINISHED"}
+    baked = everything()
+    assert baked["bakes"]["Along"] != first["bakes"]["Along"]
+    bpy.ops.ed.undo()
+    assert everything()["bakes"] == first["bakes"]
+    assert statuses() == {"Along": STALE, "Below": FRESH}
+    bpy.ops.ed.undo()
+    assert everything() == first
+    assert statuses() == {"Along": FRESH, "Below": FRESH}
+    bpy.ops.ed.redo()
+    bpy.ops.ed.redo()
+    assert everything() == baked
+    assert statuses() == {"Along": FRESH, "Below": FRESH}
+
+
+def test_an_asset_is_felt_as_chosen() -> None:
+    from build_assets import MATERIALS
+
+    from hnf_blender.ops.assets import FOLDER
+
+    plane = add_plane()
+    with bpy.data.libraries.load(str(FOLDER / MATERIALS), assets_only=True) as (_, wanted):
+        wanted.materials = ["Cork"]
+    plane.data.materials.append(wanted.materials[0])
+    line_stroke("Along", surface=plane, **SHORT)
+    bake()
+    assert load_bake(bpy.data.objects["Along"]).facts["library_material"] == "cork"
+    assert STATE.last_job.ok
