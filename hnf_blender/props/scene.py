@@ -6,6 +6,8 @@ from typing import Any
 
 import bpy
 
+from hnf_core.actuators.profile import GENERIC, PROFILES
+
 from .overriding import OVERRIDABLE
 
 
@@ -40,10 +42,11 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
         default=True,
         override=OVERRIDABLE,
     )
-    actuator: bpy.props.StringProperty(
+    actuator: bpy.props.EnumProperty(
         name="Actuator",
         description="Profile whose limits the preview is shown against",
-        default="generic-voice-coil",
+        items=[(name, profile.title, profile.source) for name, profile in PROFILES.items()],
+        default=GENERIC.name,
         override=OVERRIDABLE,
     )
     export_folder: bpy.props.StringProperty(

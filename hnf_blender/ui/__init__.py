@@ -13,6 +13,7 @@ MODULES = (
     "materials_panel",
     "strokes_panel",
     "export_panel",
+    "actuator_panel",
     "diagnose_panel",
 )
 """Sub-modules, each with a tuple CLASSES."""
