@@ -207,18 +207,20 @@ def save_copy(path: Path) -> None:
 
 
 def told(result: Result, committed: Committed, seconds: float) -> LastJob:
-    """A sentence for the status bar, the rest as details."""
+    """A sentence for the status bar, with the first problem if there is one; the others, and notes, as details."""
     problems = [*result.failed, *committed.refused]
     parts = [f"{_count(len(committed.strokes), 'stroke')} baked in {seconds:.0f} s"]
     if result.renders:
         parts.append(_count(result.renders, "close-up"))
     if result.fresh:
         parts.append(f"{result.fresh} fresh already")
+    message = ", ".join(parts) + "."
     if problems:
-        parts.append(f"{_count(len(problems), 'problem')}, see the details")
-    details = (*(problem.why for problem in problems), *result.warnings)
+        more = f" (and {_count(len(problems) - 1, 'problem')} more)" if len(problems) > 1 else ""
+        message = f"{message} {problems[0].why}{more}"
+    details = (*(problem.why for problem in problems[1:]), *result.warnings)
     written = len(committed.strokes) + len(committed.meshes)
-    return LastJob(not problems, ", ".join(parts) + ".", details, written)
+    return LastJob(not problems, message, details, written)
 
 
 def _count(number: int, thing: str) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs the bpy wheel of the matching Python")
@@ -28,3 +30,43 @@ def operators(stroke_properties: None) -> None:
 @pytest.fixture(autouse=True)
 def empty_file() -> None:
     bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+@pytest.fixture
+def lone_bake(operators, tmp_path, monkeypatch):
+    """Bakes with a cache of their own (its path); none runs before or after, and none leaves a folder."""
+    from job_scene import my_folders
+
+    from hnf_blender.jobs import current, running
+    from hnf_blender.state.session import STATE
+
+    monkeypatch.setattr(running, "cache_folder", lambda: tmp_path / "cache")
+    STATE.clear()
+    yield tmp_path / "cache"
+    current.cancel()
+    STATE.clear()
+    assert my_folders() == []
+
+
+@pytest.fixture(scope="session")
+def rendered_plate(operators, tmp_path_factory):
+    """The close-ups of job_scene.small_scene."""
+    from job_scene import small_scene
+
+    from hnf_blender.jobs import running
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    folder = tmp_path_factory.mktemp("rendered")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(running, "cache_folder", lambda: folder)
+        small_scene()
+        running.bake_in_line(bpy.context.scene, bpy.context.view_layer)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    return folder
+
+
+@pytest.fixture
+def warm_bake(rendered_plate, lone_bake):
+    """A lone bake whose close-ups are there already: what is tested starts after them."""
+    shutil.copytree(rendered_plate, lone_bake)
+    return lone_bake

@@ -19,6 +19,8 @@ from hnf_blender.state.session import STATE, LastJob
 LIMIT_S = 60.0
 ORDER = ("starting", "opening", "reading", "Along", "Along: close-ups", "Along: synthesis", "saving")
 """Stages of a bake of stroke "Along" in their order."""
+STAGES = tuple(stage for stage in ORDER if stage != "Along: close-ups")
+"""Those that a bake goes through whose close-ups are there already."""
 
 
 def small_scene(**settings):

@@ -1,0 +1,243 @@
+"""Statuses follow the scene: what handlers note, and what a look at it costs and finds."""
+
+from __future__ import annotations
+
+import bpy
+import pytest
+from builders import add_plane
+from job_scene import PLATE, line_stroke, small_scene
+
+from hnf_blender import handlers
+from hnf_blender.jobs import running
+from hnf_blender.state import watch
+from hnf_blender.state.guard import own_changes
+from hnf_blender.state.session import STATE, Freshness, StrokeStatus
+from hnf_blender.state.watch import EVERYTHING, refresh_status
+
+
+@pytest.fixture(autouse=True)
+def lone(warm_bake):
+    return warm_bake
+
+
+@pytest.fixture
+def noting():
+    """Blender tells of changes, as in a window."""
+    listed = bpy.app.handlers.depsgraph_update_post
+    listed.append(handlers.note_changes)
+    watch.forget()
+    yield
+    listed.remove(handlers.note_changes)
+    watch.forget()
+
+
+def update() -> None:
+    bpy.context.view_layer.update()
+
+
+def baked_scene():
+    plate, stroke = small_scene()
+    running.bake_in_line(bpy.context.scene, bpy.context.view_layer)
+    update()
+    STATE.dirty.clear()
+    return plate, stroke
+
+
+def drain() -> list[str]:
+    """Look until all is known; names of the strokes that were looked at."""
+    before = {name: StrokeStatus(Freshness.UNKNOWN, "old") for name in STATE.strokes}
+    STATE.strokes.update(before)
+    for _ in range(100):
+        watch.drain([(bpy.context.scene, bpy.context.view_layer)])
+        if not STATE.dirty and all(each.is_idle for each in watch._watches.values()):
+            return sorted(name for name, status in STATE.strokes.items() if status != before.get(name))
+    raise AssertionError("it goes on for ever")
+
+
+def test_nothing_is_registered_without_a_window() -> None:
+    count = [len(getattr(bpy.app.handlers, name)) for name, _ in handlers.HANDLERS]
+    handlers.register()
+    assert [len(getattr(bpy.app.handlers, name)) for name, _ in handlers.HANDLERS] == count
+    assert not bpy.app.timers.is_registered(handlers.tick)
+    handlers.unregister()
+
+
+def test_handlers_only_note_names(noting) -> None:
+    plate, _ = small_scene()
+    update()
+    STATE.dirty.clear()
+    plate.location.x += 0.1
+    update()
+    assert PLATE in STATE.dirty
+    STATE.dirty.clear()
+    plate.active_material.node_tree.nodes["Principled BSDF"].inputs["Roughness"].default_value = 0.9
+    update()
+    assert plate.active_material.name in STATE.dirty
+    assert STATE.strokes == {}
+
+
+def test_own_changes_are_no_news_and_a_persons_pending_ones_are(noting) -> None:
+    plate, stroke = small_scene()
+    update()
+    STATE.dirty.clear()
+    stroke.location.x += 0.1  # not told yet
+    with own_changes(bpy.context.view_layer):
+        plate.location.x += 0.1
+    assert "Along" in STATE.dirty
+    assert PLATE not in STATE.dirty
+
+
+def test_a_bake_does_not_make_its_own_mesh_dirty(noting) -> None:
+    small_scene()
+    update()
+    STATE.dirty.clear()
+    assert running.bake_in_line(bpy.context.scene, bpy.context.view_layer).ok
+    update()
+    assert STATE.dirty == set()
+    assert STATE.strokes["Along"].freshness is Freshness.FRESH
+
+
+def edit_mesh(plate, _):
+    plate.data.vertices[0].co.z += 0.01
+    plate.data.update()
+
+
+def edit_shader(plate, _):
+    plate.active_material.node_tree.nodes["Principled BSDF"].inputs["Roughness"].default_value = 0.9
+
+
+def choose(plate, _):
+    plate.active_material.hnf_touch.library = "cork"
+
+
+def move_stroke(_, stroke):
+    stroke.location.x += 1e-3
+
+
+def scale_scene(*_):
+    bpy.context.scene.unit_settings.scale_length = 0.5
+
+
+@pytest.mark.parametrize("change", [edit_mesh, edit_shader, choose, move_stroke, scale_scene])
+def test_what_a_signal_follows_from_makes_it_stale(noting, change) -> None:
+    plate, stroke = baked_scene()
+    assert drain() == ["Along"]
+    assert STATE.strokes["Along"].freshness is Freshness.FRESH
+    change(plate, stroke)
+    update()
+    assert drain() == ["Along"]
+    assert STATE.strokes["Along"].freshness is Freshness.STALE
+    assert STATE.strokes["Along"].library_material
+
+
+def test_another_frame_rate_is_noticed(noting) -> None:
+    """At a given speed the path stays; the force keys come at other times."""
+    baked_scene()
+    drain()
+    bpy.context.scene.render.fps = 30
+    assert drain() == ["Along"]
+    assert STATE.strokes["Along"].freshness is Freshness.FORCE
+
+
+def test_a_changed_seed_is_noticed_though_blender_tells_nothing(noting) -> None:
+    _, stroke = baked_scene()
+    drain()
+    stroke.hnf_stroke.seed += 1
+    assert drain() == ["Along"]
+    assert STATE.strokes["Along"].freshness is Freshness.FORCE
+    stroke.hnf_stroke.seed -= 1
+    assert drain() == ["Along"]
+    assert STATE.strokes["Along"].freshness is Freshness.FRESH
+
+
+def test_only_concerned_strokes_are_looked_at(noting) -> None:
+    baked_scene()
+    other = add_plane("Other", 0.12, z=0.5)
+    line_stroke("Elsewhere", surface=other, centre=(0.0, 0.0, 0.5))
+    update()
+    assert drain() == ["Along", "Elsewhere"]
+    assert drain() == []
+    edit_mesh(other, None)
+    update()
+    assert drain() == ["Elsewhere"]
+
+
+def test_a_surface_that_moves_is_looked_at_once(noting) -> None:
+    """Reading such a stroke visits other frames, which must not wake the handlers again."""
+    plate, _ = baked_scene()
+    for frame, x in ((1, 0.0), (20, 0.001)):
+        plate.location.x = x
+        plate.keyframe_insert("location", frame=frame)
+    update()
+    assert drain() == ["Along"]
+    update()
+    assert STATE.dirty == set()
+    assert drain() == []
+
+
+def test_deleted_and_renamed_strokes_leave_no_status(noting) -> None:
+    _, stroke = baked_scene()
+    drain()
+    stroke.name = "New name"
+    update()
+    drain()
+    assert list(STATE.strokes) == ["New name"]
+    bpy.data.objects.remove(stroke)
+    STATE.dirty.add(EVERYTHING)
+    drain()
+    assert STATE.strokes == {}
+
+
+def test_history_makes_everything_unknown(noting) -> None:
+    baked_scene()
+    drain()
+    handlers.note_history(bpy.context.scene)
+    assert drain() == ["Along"]
+
+
+def test_another_file_forgets_all(noting, tmp_path) -> None:
+    baked_scene()
+    drain()
+    handlers.enter_file("")
+    assert STATE.strokes == {}
+    assert STATE.dirty == {EVERYTHING}
+    assert drain() == ["Along"]
+
+
+def test_leaving_the_file_stops_its_bake() -> None:
+    from hnf_blender.jobs import current
+
+    small_scene()
+    current.start(bpy.context.scene, bpy.context.view_layer)
+    handlers.leave_file("")
+    assert not current.is_running()
+    assert STATE.job is None
+
+
+def test_edit_mode_is_waited_for(noting) -> None:
+    plate, _ = baked_scene()
+    bpy.context.view_layer.objects.active = plate
+    bpy.ops.object.mode_set(mode="EDIT")
+    update()
+    STATE.dirty.add(PLATE)
+    drain()
+    assert STATE.strokes["Along"].freshness is Freshness.UNKNOWN
+    assert "Edit Mode" in STATE.strokes["Along"].why
+    bpy.ops.object.mode_set(mode="OBJECT")
+    update()
+    drain()
+    assert STATE.strokes["Along"].freshness is Freshness.FRESH
+
+
+def test_refresh_fills_what_is_asked_for() -> None:
+    plate, _ = baked_scene()
+    line_stroke("Beside", surface=plate, force=2.0)
+    STATE.strokes.clear()
+    refresh_status(bpy.context.scene, ["Beside"])
+    assert {name: status.freshness for name, status in STATE.strokes.items()} == {"Beside": Freshness.UNBAKED}
+    refresh_status(bpy.context.scene)
+    assert STATE.strokes["Along"].freshness is Freshness.FRESH
+    bpy.data.objects[PLATE].hide_render = True
+    refresh_status(bpy.context.scene)
+    assert STATE.strokes["Along"].freshness is Freshness.BROKEN
+    assert "hidden" in STATE.strokes["Along"].why

@@ -1,0 +1,25 @@
+"""A bake that is cancelled, at every stage."""
+
+from __future__ import annotations
+
+import bpy
+import pytest
+from job_scene import NOTHING, STAGES, is_gone, kept, my_folders, reach, small_scene, start
+
+from hnf_blender.jobs import current
+from hnf_blender.state.session import STATE
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_cancelled_bake_leaves_neither_process_nor_folder(stage, warm_bake) -> None:
+    small_scene()
+    pid = start().pid
+    assert reach(stage)
+    assert len(my_folders()) == 1
+    assert bpy.ops.hnf.bake_cancel() == {"FINISHED"}
+    assert my_folders() == []
+    assert is_gone(pid)
+    assert STATE.job is None
+    assert "cancelled" in STATE.last_job.message
+    assert kept() == NOTHING
+    assert current.tick() is None

@@ -1,0 +1,69 @@
+"""The artist's own word on a material: on the command line, on the stroke, on the material; then the ranking."""
+
+from __future__ import annotations
+
+import bpy
+import pytest
+from job_scene import PLATE, kept, small_scene
+from touch_scene import save_scene, touch
+
+from hnf_blender.preview.stroke_bake import load_bake
+from hnf_blender.state.session import STATE, Freshness
+
+
+@pytest.fixture(autouse=True)
+def lone(warm_bake):
+    return warm_bake
+
+
+def felt_as() -> str:
+    assert bpy.ops.hnf.bake() == {"FINISHED"}
+    return load_bake(bpy.data.objects["Along"]).facts["library_material"]
+
+
+def test_the_stroke_goes_before_the_material_and_both_before_the_ranking() -> None:
+    plate, stroke = small_scene()
+    ranked = felt_as()
+    assert ranked not in {"oak-wood", "cork"}
+    plate.active_material.hnf_touch.library = "oak-wood"
+    bpy.ops.hnf.plan()
+    assert STATE.strokes["Along"].freshness is Freshness.STALE
+    assert "material choice" in STATE.strokes["Along"].why
+    assert felt_as() == "oak-wood"
+    stroke.hnf_stroke.material = "cork"
+    assert felt_as() == "cork"
+    stroke.hnf_stroke.material = plate.active_material.hnf_touch.library = ""
+    assert felt_as() == ranked
+
+
+def test_the_command_line_goes_before_all(tmp_path) -> None:
+    plate, _ = small_scene()
+    plate.active_material.hnf_touch.library = "oak-wood"
+    scene = save_scene(tmp_path / "scene.blend")
+    _, report = touch(scene, tmp_path / "own")
+    assert report["strokes"][0]["library_material"] == "oak-wood"
+    first = report["strokes"][0]["key"]
+    _, report = touch(scene, tmp_path / "named", "--material", f"{PLATE}=cork")
+    assert report["strokes"][0]["library_material"] == "cork"
+    assert report["strokes"][0]["key"] != first
+
+
+@pytest.mark.parametrize(("where", "named"), [("stroke", "stroke 'Along'"), ("material", "material 'Plate plastic'")])
+def test_an_unknown_name_fails_that_stroke_and_says_where_it_stands(where, named) -> None:
+    plate, stroke = small_scene()
+    if where == "stroke":
+        stroke.hnf_stroke.material = "oak-wod"
+    else:
+        plate.active_material.hnf_touch.library = "oak-wod"
+    with pytest.raises(RuntimeError, match=rf"{named}.* no library material .*'oak-wod'.* oak-wood"):
+        bpy.ops.hnf.bake()
+    assert kept()["bakes"] == {}
+
+
+def test_an_unknown_name_on_a_slot_that_is_not_touched_costs_nothing() -> None:
+    plate, _ = small_scene()
+    other = bpy.data.materials.new("Elsewhere")
+    other.hnf_touch.library = "no-such-thing"
+    plate.data.materials.append(other)
+    assert bpy.ops.hnf.bake() == {"FINISHED"}
+    assert list(kept()["bakes"]) == ["Along"]

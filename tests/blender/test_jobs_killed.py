@@ -1,0 +1,48 @@
+"""A child process that is killed, at every stage; a parent that is."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from job_scene import NOTHING, STAGES, finish, is_gone, kept, kill, my_folders, reach, small_scene, start
+
+from hnf_blender.jobs import current
+from hnf_blender.jobs.folder import PREFIX, is_alive, job_root, remove_abandoned
+from hnf_blender.state.session import STATE
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_killed_child_is_told_and_costs_nothing(stage, warm_bake) -> None:
+    small_scene()
+    running_now = start()
+    assert reach(stage)
+    if running_now.pid is not None:
+        kill(running_now.pid)
+    ended = finish(running_now)
+    assert not current.is_running()
+    assert STATE.job is None
+    assert STATE.last_job == ended
+    if ended.ok:  # it had said its last word before it was hit
+        assert stage == "saving"
+        assert list(kept()["bakes"]) == ["Along"]
+        return
+    assert "killed (signal 9)" in ended.message
+    assert "Bake again" in ended.message
+    assert kept() == NOTHING
+    assert my_folders() == []
+
+
+def test_the_child_of_a_dead_parent_ends_and_its_folder_is_found(tmp_path) -> None:
+    script = Path(__file__).with_name("die_while_baking.py")
+    done = subprocess.run([sys.executable, str(script), str(tmp_path)], capture_output=True, text=True, timeout=120)
+    words = done.stdout.split()
+    assert "CHILD" in words, done.stdout + done.stderr
+    pid = int(words[words.index("CHILD") + 1])
+    parent = int(words[words.index("PARENT") + 1])
+    assert is_gone(pid)
+    assert not is_alive(parent)
+    assert remove_abandoned()
+    assert not list(job_root().glob(f"{PREFIX}{parent}-*"))
