@@ -29,7 +29,8 @@ class Freshness(Enum):
 
 @dataclass(frozen=True)
 class StrokeStatus:
-    """why: one sentence for the artist. duration_s, library_material, routes, confidence, warnings: as last baked."""
+    """why: one sentence for the artist. duration_s, library_material, routes, confidence, warnings: as last baked.
+    shader: the Blender material that it mostly touches."""
 
     freshness: Freshness
     why: str = ""
@@ -39,6 +40,7 @@ class StrokeStatus:
     routes: str = ""
     confidence: float = 0.0
     warnings: tuple[str, ...] = ()
+    shader: str = ""
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,7 @@ class PlanView:
 class SessionState:
     """strokes: by stroke object name. dirty: names of datablocks changed since their strokes were looked at.
     suggestions: by Blender material name, the most apt first. diagnosis: (name, value) as last collected.
+    heard: something was played since Blender started.
     changes: counts what people changed, undo and redo included. own: above 0 while the add-on itself changes things."""
 
     strokes: dict[str, StrokeStatus] = field(default_factory=dict)
@@ -95,6 +98,7 @@ class SessionState:
     plan: PlanView | None = None
     suggestions: dict[str, tuple[Suggestion, ...]] = field(default_factory=dict)
     diagnosis: tuple[tuple[str, str], ...] = ()
+    heard: bool = False
     changes: int = 0
     own: int = 0
 

@@ -71,6 +71,7 @@ def status_of(bake: StrokeBake, freshness: Freshness, why: str = "") -> StrokeSt
         routes=facts.get("routes", ""),
         confidence=bake.confidence,
         warnings=(*bake.warnings, *bake.notes),
+        shader=facts.get("material", ""),
     )
 
 

@@ -25,6 +25,9 @@ def felt_text(material: Any) -> tuple[str, str]:
     ranked = STATE.suggestions.get(material.name)
     if ranked:
         return "UNLOCKED", f"{spoken(ranked[0].name)} ({sure_text(ranked[0].confidence)})"
+    baked = next((status for status in STATE.strokes.values() if status.shader == material.name), None)
+    if baked is not None and baked.library_material:
+        return "UNLOCKED", f"{spoken(baked.library_material)} ({tr('as baked')})"
     return "UNLOCKED", tr("Decided at the bake")
 
 
@@ -102,6 +105,7 @@ def draw_material(layout: Any, context: Any, material: Any) -> None:
 class HNF_PT_as_baked(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
     bl_label = "As Baked"
     bl_parent_id = "HNF_PT_materials"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012  # Blender reads a set
 
     @classmethod
     def poll(cls, context: Any) -> bool:

@@ -36,11 +36,11 @@ class HNF_PT_scene(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: 
             return
         strokes = strokes_of(scene)
         draw_first_steps(layout, context, strokes)
-        column = layout.column(align=True)
-        row = column.row(align=True)
+        row = layout.row(align=True)
         row.scale_y = 1.4
         row.operator("hnf.bake", text="Bake", icon="RENDER_STILL").only_active = False
-        column.operator("hnf.bake", text="Bake Active Only", icon="CURVE_DATA").only_active = True
+        row.operator("hnf.bake", text="Active Only").only_active = True
+        row.operator("hnf.plan", text="", icon="VIEWZOOM")
         if strokes:
             text = counts_text(STATE.strokes.get(obj.name) for obj in strokes if not obj.hnf_stroke.mute)
             if text:
@@ -54,7 +54,7 @@ class HNF_PT_scene(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: 
 def draw_first_steps(layout: Any, context: Any, strokes: list[Any]) -> None:
     """1 Draw, 2 Bake, 3 Play, until the first stroke can be heard."""
     audible = sum(obj.name in STATE.strokes and STATE.strokes[obj.name].freshness in AUDIBLE for obj in strokes)
-    todo = steps(len(strokes), audible)
+    todo = steps(len(strokes), audible, STATE.heard)
     if not todo:
         return
     box = layout.box().column(align=True)
@@ -62,6 +62,8 @@ def draw_first_steps(layout: Any, context: Any, strokes: list[Any]) -> None:
         row = box.row()
         row.active = step.icon != "BLANK1"
         row.label(text=step.text, icon=step.icon, translate=False)
+    if audible:
+        box.operator("hnf.preview_play", text="Play", icon="PLAY")
     if not strokes:
         if not any(obj.type == "MESH" for obj in context.scene.objects):
             paragraph(box, context, tr("There is no mesh to touch yet: add or import one"), icon="ERROR")
@@ -97,6 +99,7 @@ def draw_last_job(layout: Any, context: Any) -> None:
 class HNF_PT_plan(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
     bl_label = "Plan"
     bl_parent_id = "HNF_PT_scene"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012  # Blender reads a set
 
     def draw(self, context: Any) -> None:
         layout, plan = self.layout, STATE.plan
@@ -117,7 +120,7 @@ class HNF_PT_plan(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N
 class HNF_PT_scale(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
     bl_label = "Scale"
     bl_parent_id = "HNF_PT_scene"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012  # Blender reads a set
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
 
     def draw(self, context: Any) -> None:
         layout, scene = self.layout, context.scene

@@ -49,14 +49,14 @@ def look(status: StrokeStatus | None) -> tuple[str, str]:
     """Icon and sentence of a stroke; a sentence of its own where the status brings one."""
     freshness = Freshness.UNKNOWN if status is None else status.freshness
     icon, text = LOOKS[freshness]
-    return icon, status.why if status is not None and status.why else tr(text)
+    return icon, tr(status.why if status is not None and status.why else text)
 
 
-def steps(strokes: int, audible: int) -> tuple[Step, ...]:
-    """The way from an empty scene to the first sound; empty once something can be heard."""
-    if audible:
+def steps(strokes: int, audible: int, heard: bool) -> tuple[Step, ...]:
+    """The way from an empty scene to the first sound; empty once that was heard."""
+    if audible and heard:
         return ()
-    at = 0 if strokes == 0 else 1
+    at = 2 if audible else 1 if strokes else 0
     texts = (tr("1  Draw a stroke on a surface"), tr("2  Bake"), tr("3  Play"))
     icons = ("CHECKMARK", "TRIA_RIGHT", "BLANK1")
     return tuple(

@@ -38,8 +38,10 @@ def switched_on():
     hnf_blender.ops.register()
     hnf_blender.ui.register()
     STATE.clear()
+    STATE.heard = False
     yield
     STATE.clear()
+    STATE.heard = False
     hnf_blender.ui.unregister()
     hnf_blender.ops.unregister()
 
@@ -136,6 +138,11 @@ def test_an_empty_scene_says_what_to_do_first_and_the_hint_goes_away() -> None:
     assert scene is not None
     assert "2  Bake" in scene.words
     STATE.strokes[stroke.name] = StrokeStatus(Freshness.FRESH)
+    scene = drawn(panel("HNF_PT_scene"))
+    assert scene is not None
+    assert "3  Play" in scene.words
+    assert "hnf.preview_play" in scene.operators
+    STATE.heard = True
     scene = drawn(panel("HNF_PT_scene"))
     assert scene is not None
     assert "1  Draw" not in scene.words
