@@ -7,8 +7,6 @@ from typing import Any
 import bpy
 import numpy as np
 
-from hnf_core.action.contacts import CONTACT_TOLERANCE_M
-from hnf_core.action.pen_stroke import PenSamples, PenStyle
 from hnf_core.errors import HnfError, SceneError
 from hnf_core.material.mechanics import PROBES
 from hnf_core.units import m_to_mm, mm_to_m
@@ -198,6 +196,9 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
 
     def _make(self, context: Any) -> str:
         """Make the stroke object and select it; what was made, in words. Raises HnfError where nothing was made."""
+        from hnf_core.action.contacts import CONTACT_TOLERANCE_M
+        from hnf_core.action.pen_stroke import PenSamples, PenStyle
+
         from ..bridge.drawn_stroke import new_drawn_stroke, touching_surface
 
         scene, depsgraph, metres = context.scene, context.evaluated_depsgraph_get(), metres_of(context.scene)

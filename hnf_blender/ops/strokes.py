@@ -7,7 +7,6 @@ from typing import Any
 import bpy
 
 from hnf_core.action.primitives import PRIMITIVES, Primitive
-from hnf_core.action.words import primitive_of
 from hnf_core.errors import HnfError
 
 from ..compat import own_action
@@ -98,6 +97,8 @@ class HNF_OT_stroke_add(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
         return True
 
     def execute(self, context: Any) -> set[str]:
+        from hnf_core.action.words import primitive_of
+
         from ..bridge.new_stroke import into_collection
         from ..bridge.placement import place_primitive
 
