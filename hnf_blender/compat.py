@@ -103,3 +103,8 @@ def own_action(animated: Any) -> None:
     animation.action = animation.action.copy()
     if identifier is not None:
         animation.action_slot = next(slot for slot in animation.action.slots if slot.identifier == identifier)
+
+
+def sequencer_strips(editor: Any) -> Any:
+    """The strips of a sequence editor; called sequences up to 4.3."""
+    return editor.strips if hasattr(editor, "strips") else editor.sequences

@@ -2,8 +2,133 @@
 
 from __future__ import annotations
 
+import time
+from typing import Any
 
-def register() -> None: ...
+from . import timeline
+from .facts import PREVIEW, PreviewFacts, preview_facts, preview_icon
+
+__all__ = ["PreviewFacts", "preview_facts", "preview_icon"]
+
+INTERVAL_S = 0.1
+HANDLERS = (
+    ("animation_playback_pre", timeline.playback_begins),
+    ("animation_playback_post", timeline.playback_ends),
+    ("frame_change_post", timeline.frame_shown),
+)
+
+BUDGET_S = 0.02
+"""Of looking at strokes that are not the active one, in one tick."""
+
+_seen: object = None
+_waiting: list[str] = []
 
 
-def unregister() -> None: ...
+def enter_file(*_: Any) -> None:
+    """load_post: nothing that was heard belongs to this file."""
+    from .current import stop
+
+    stop()
+    timeline.FOLLOWER.begun_at = None
+    _waiting.clear()
+    PREVIEW.clear()
+
+
+def tick() -> float:
+    """Timer: take what was heard, ask for what changed, tell the panels. Looks at a counter while nothing happens."""
+    import bpy
+
+    from ..state.warm import is_ready
+
+    window = next(iter(bpy.context.window_manager.windows), None)
+    if window is None or not hasattr(bpy.types.Object, "hnf_stroke") or not is_ready():
+        return INTERVAL_S
+    with bpy.context.temp_override(window=window):
+        _look(bpy.context, window.screen.is_animation_playing)
+    return INTERVAL_S
+
+
+def _look(context: Any, timeline_plays: bool) -> None:
+    global _seen
+    from ..props.scene import active_stroke, strokes_of
+    from ..state.redraw import redraw_tab
+    from ..state.session import STATE
+    from . import current
+
+    scene, active = context.scene, active_stroke(context)
+    heard = current.collect()
+    settings = scene.hnf
+    seen = (
+        STATE.changes, scene.name, active and active.name, settings.actuator, settings.monitor_gain_db,
+        tuple((name, status.freshness, status.why) for name, status in STATE.strokes.items()),
+    )  # fmt: skip
+    ended = bool(PREVIEW.sounding) and not current.PLAYER.is_playing
+    if ended:
+        PREVIEW.sounding = ""
+    if seen != _seen:
+        _seen = seen
+        others = strokes_of(scene) if settings.follow_timeline else []
+        _waiting.clear()
+        _waiting.extend(obj.name for obj in others if obj != active)
+        if active is not None:
+            current.refresh(active, context, wait=False)
+    until = time.monotonic() + BUDGET_S
+    while _waiting and time.monotonic() < until:
+        other = scene.objects.get(_waiting.pop(0))
+        if other is not None:
+            current.refresh(other, context, wait=False)
+    shown = active.name if active is not None else ""
+    before = PREVIEW.facts.get(shown)
+    for name in heard | {shown} - {""}:
+        current.tell(name, scene)
+    if heard or ended or PREVIEW.facts.get(shown) != before:
+        redraw_tab()
+    _sound(context, heard, timeline_plays)
+
+
+def _sound(context: Any, heard: set[str], timeline_plays: bool) -> None:
+    """What was waited for is played; what sounds goes on as it is now."""
+    from hnf_core.errors import SceneError
+
+    from . import current
+
+    if PREVIEW.play_when_ready in heard or PREVIEW.sounding in heard:
+        name = PREVIEW.play_when_ready or PREVIEW.sounding
+        PREVIEW.play_when_ready = ""
+        try:
+            current.play(name, context.scene)
+        except SceneError as error:
+            PREVIEW.problems[name] = str(error)
+        current.tell(name, context.scene)
+    elif heard and timeline_plays and timeline.FOLLOWER.begun_at is not None:
+        timeline.FOLLOWER.start(context.scene)
+
+
+def register() -> None:
+    import bpy
+
+    if bpy.app.background:
+        return
+    for name, handler in HANDLERS:
+        getattr(bpy.app.handlers, name).append(bpy.app.handlers.persistent(handler))
+    bpy.app.handlers.load_post.append(bpy.app.handlers.persistent(enter_file))
+    bpy.app.timers.register(tick, first_interval=INTERVAL_S, persistent=True)
+
+
+def unregister() -> None:
+    import bpy
+
+    from . import current, images
+
+    for name, handler in (*HANDLERS, ("load_post", enter_file)):
+        listed = getattr(bpy.app.handlers, name)
+        if handler in listed:
+            listed.remove(handler)
+    if bpy.app.timers.is_registered(tick):
+        bpy.app.timers.unregister(tick)
+    if PREVIEW.listener is not None:
+        PREVIEW.listener.end()
+        PREVIEW.listener = None
+    current.PLAYER.release()
+    images.release()
+    PREVIEW.clear()

@@ -1,0 +1,121 @@
+"""Signals leave Blender's scene, or enter its sequencer and its sound."""
+
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
+from typing import Any
+
+import bpy
+
+from hnf_core.errors import HnfError
+
+from ..props.scene import active_stroke, strokes_of
+from ..state.redraw import redraw_tab
+from .preview import can_be_heard
+
+UNDOABLE = {"REGISTER", "UNDO"}
+
+
+class HNF_OT_export_wav(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types, Blender's naming
+    bl_idname = "hnf.export_wav"
+    bl_label = "Export WAV"
+    bl_description = (
+        "Write 10 kHz float32 WAVs in m/s², never normalised, into the export folder; stale strokes are refused"
+    )
+
+    all: bpy.props.BoolProperty(
+        name="All strokes", description="Every stroke that is not muted, not the active one alone", default=False
+    )
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        if not strokes_of(context.scene):
+            cls.poll_message_set("This scene has no stroke to export")
+            return False
+        return True
+
+    def execute(self, context: Any) -> set[str]:
+        from ..preview.outlet import export_folder, write_wav_of
+
+        active = active_stroke(context)
+        chosen = [active] if active is not None else []
+        if self.all:
+            chosen = [obj for obj in strokes_of(context.scene) if not obj.hnf_stroke.mute]
+        if not chosen:
+            self.report({"ERROR"}, "No stroke to export: select one, or unmute one")
+            return {"CANCELLED"}
+        written, refused = [], []
+        try:
+            export_folder(context.scene)
+        except HnfError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        for obj in chosen:
+            try:
+                written.append(write_wav_of(obj, context))
+            except HnfError as error:
+                refused.append(str(error))
+        redraw_tab()
+        if not written:
+            self.report({"ERROR"}, "\n".join(refused))
+            return {"CANCELLED"}
+        for text in refused:
+            self.report({"WARNING"}, text)
+        self.report(
+            {"INFO"}, f"{len(written)} written to {written[0].parent}: {', '.join(path.name for path in written)}"
+        )
+        return {"FINISHED"}
+
+
+class HNF_OT_add_to_sequencer(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.add_to_sequencer"
+    bl_label = "Add to Sequencer"
+    bl_description = "Export the stroke's WAV and lay it as a sound strip at its start frame; again replaces the strip"
+    bl_options = UNDOABLE
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return can_be_heard(cls, context)
+
+    def execute(self, context: Any) -> set[str]:
+        from ..preview.outlet import add_strip
+
+        try:
+            strip = add_strip(active_stroke(context), context)
+        except HnfError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"'{strip.name}' in the sequencer, channel {strip.channel}")
+        return {"FINISHED"}
+
+
+class HNF_OT_add_speaker(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.add_speaker"
+    bl_label = "Add Speaker at the Stroke"
+    bl_description = (
+        "Put a Speaker where the stroke begins; it moves with the surface, its sound is packed into the .blend. Again "
+        "replaces it"
+    )
+    bl_options = UNDOABLE
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        if context.mode != "OBJECT":
+            cls.poll_message_set("Speakers are added in Object Mode: press Tab")
+            return False
+        return can_be_heard(cls, context)
+
+    def execute(self, context: Any) -> set[str]:
+        from ..preview.outlet import add_speaker_of
+
+        stroke = active_stroke(context)
+        name = stroke.name
+        try:
+            speaker = add_speaker_of(stroke, context)
+        except HnfError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"'{speaker.name}' sounds like '{name}'")
+        return {"FINISHED"}
+
+
+CLASSES = (HNF_OT_export_wav, HNF_OT_add_to_sequencer, HNF_OT_add_speaker)

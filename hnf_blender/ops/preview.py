@@ -1,0 +1,145 @@
+"""Hear a stroke: play, stop, compare."""
+
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
+from typing import Any
+
+import bpy
+
+from hnf_core.errors import HnfError
+
+from ..preview.facts import PREVIEW
+from ..props.scene import active_stroke
+from ..state.redraw import redraw_tab
+from ..state.session import STATE, Freshness
+
+NOT_SELECTED = "No stroke is selected: click one in the Touch tab, or draw one with the stroke tool"
+NOT_BAKED = "Not baked yet: press Bake in the Touch tab"
+
+
+def can_be_heard(cls: Any, context: Any) -> bool:
+    """For poll(): True where the active stroke has a bake that holds, else says why greyed."""
+    from ..preview.stroke_bake import BAKE_PROPERTY
+
+    stroke = active_stroke(context)
+    if stroke is None:
+        cls.poll_message_set(NOT_SELECTED)
+        return False
+    if BAKE_PROPERTY not in stroke:
+        cls.poll_message_set(NOT_BAKED)
+        return False
+    status = STATE.strokes.get(stroke.name)
+    if status is not None and status.freshness in (Freshness.STALE, Freshness.BROKEN):
+        cls.poll_message_set(status.why or "Changed since it was baked: bake it again")
+        return False
+    return True
+
+
+class HNF_OT_preview_play(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types
+    bl_idname = "hnf.preview_play"
+    bl_label = "Play"
+    bl_description = (
+        "Hear the stroke on Blender's sound device. At 0 dB of monitor gain 10 m/s² is full scale; the signal itself "
+        "keeps its m/s²"
+    )
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return can_be_heard(cls, context)
+
+    def execute(self, context: Any) -> set[str]:
+        from ..preview import current
+
+        stroke = active_stroke(context)
+        heard = current.refresh(stroke, context, wait=bpy.app.background)
+        problem = PREVIEW.problems.get(stroke.name, "")
+        if problem:
+            self.report({"WARNING"}, problem)
+            return {"CANCELLED"}
+        if heard is None and stroke.name not in PREVIEW.on_kept:
+            PREVIEW.play_when_ready = stroke.name
+            return {"FINISHED"}
+        try:
+            current.play(stroke.name, context.scene)
+        except HnfError as error:
+            self.report({"WARNING"}, str(error))
+            return {"CANCELLED"}
+        current.tell(stroke.name, context.scene)
+        redraw_tab()
+        return {"FINISHED"}
+
+
+class HNF_OT_preview_stop(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.preview_stop"
+    bl_label = "Stop"
+    bl_description = "Stop the preview's sound"
+
+    def execute(self, context: Any) -> set[str]:
+        from ..preview import current
+
+        was = PREVIEW.sounding
+        current.stop()
+        if was:
+            current.tell(was, context.scene)
+        redraw_tab()
+        return {"FINISHED"}
+
+
+class HNF_OT_preview_ab(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.preview_ab"
+    bl_label = "Compare"
+    bl_description = (
+        "Keep the present signal as A, then change the stroke and switch between A and now. Both keep their level"
+    )
+
+    action: bpy.props.EnumProperty(
+        name="Action",
+        description="What to do",
+        items=[
+            ("KEEP", "Keep as A", "Remember the present signal to compare with"),
+            ("SWITCH", "Switch", "Hear and see A instead of the present signal, or back"),
+            ("FORGET", "Forget A", "End the comparison"),
+        ],
+        default="SWITCH",
+    )
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return can_be_heard(cls, context)
+
+    def execute(self, context: Any) -> set[str]:
+        from ..preview import current
+
+        stroke = active_stroke(context)
+        name = stroke.name
+        if self.action == "KEEP":
+            heard = current.refresh(stroke, context, wait=True)
+            if heard is None:
+                self.report({"WARNING"}, PREVIEW.problems.get(name, NOT_BAKED))
+                return {"CANCELLED"}
+            PREVIEW.kept[name] = heard
+        elif name not in PREVIEW.kept:
+            self.report({"WARNING"}, "Nothing is kept as A yet: keep the present signal first")
+            return {"CANCELLED"}
+        elif self.action == "SWITCH":
+            current.switch_kept(name)
+        else:
+            if name in PREVIEW.on_kept:
+                current.switch_kept(name)
+            del PREVIEW.kept[name]
+        if PREVIEW.sounding == name:
+            self._play_on(context, name)
+        current.tell(name, context.scene)
+        redraw_tab()
+        return {"FINISHED"}
+
+    def _play_on(self, context: Any, name: str) -> None:
+        from ..preview import current
+
+        try:
+            current.play(name, context.scene)
+        except HnfError as error:
+            self.report({"WARNING"}, str(error))
+
+
+CLASSES = (HNF_OT_preview_play, HNF_OT_preview_stop, HNF_OT_preview_ab)

@@ -1,0 +1,192 @@
+"""The preview at work: asks for signals when strokes change, takes them when they are there, tells the panels."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from ..state.session import STATE, Freshness
+from .device import Player
+from .facts import PREVIEW, PreviewFacts
+
+if TYPE_CHECKING:
+    from hnf_core.actuators.profile import ActuatorProfile
+
+    from .hearing import Heard
+    from .pictures import Look
+
+PLAYER = Player()
+NOT_TRUE = (Freshness.STALE, Freshness.BROKEN)
+
+
+def refresh(obj: Any, context: Any, *, wait: bool) -> Heard | None:
+    """Make sure that the signal of obj as it is now is there, or comes. wait: hear it here and now, and return it;
+    else it is asked for, and collect() takes it. None where there is none; PREVIEW.problems then says why."""
+    from hnf_core.errors import HnfError
+
+    from .hearing import Kept, Listener, hear
+    from .present import present
+
+    name, look = obj.name, look_of(context)
+    try:
+        now = present(obj, context.scene)
+    except HnfError as error:
+        _cannot(name, str(error))
+        return None
+    if now is None:
+        _cannot(name, "Not baked yet.")
+        PREVIEW.heard.pop(name, None)
+        return None
+    PREVIEW.problems.pop(name, None)
+    heard = PREVIEW.heard.get(name)
+    if heard is not None and (heard.stamp, heard.look) == (now.stamp, look):
+        PREVIEW.asked[name] = now.stamp, look
+        return heard
+    if wait:
+        try:
+            heard = hear(now, look, Kept())
+        except HnfError as error:
+            _cannot(name, str(error))
+            return None
+        take(name, heard)
+        return heard
+    if PREVIEW.asked.get(name) != (now.stamp, look):
+        PREVIEW.asked[name] = now.stamp, look
+        if PREVIEW.listener is None:
+            PREVIEW.listener = Listener()
+        PREVIEW.listener.ask(now, look)
+    return None
+
+
+def take(name: str, heard: Heard) -> None:
+    """A signal is there."""
+    from .images import show
+
+    PREVIEW.heard[name] = heard
+    PREVIEW.asked[name] = heard.stamp, heard.look
+    shown = PREVIEW.shown(name)
+    if shown is not None:
+        PREVIEW.icons[name] = show(name, shown.picture)
+
+
+def collect() -> set[str]:
+    """Take what the listener has heard; names of the strokes it was."""
+    if PREVIEW.listener is None:
+        return set()
+    done = PREVIEW.listener.take()
+    for name, outcome in done.items():
+        if isinstance(outcome, str):
+            _cannot(name, outcome)
+        else:
+            take(name, outcome)
+    return set(done)
+
+
+def play(name: str, scene: Any) -> None:
+    """Sound a stroke's shown signal from its start. Raises SceneError without sound."""
+    from .monitor import to_monitor
+
+    shown = PREVIEW.shown(name)
+    if shown is None:
+        return
+    samples = to_monitor(shown.signal.samples, scene.hnf.monitor_gain_db)
+    PREVIEW.sounding = ""
+    PLAYER.play(samples, shown.signal.sample_rate, loop=scene.hnf.loop)
+    PREVIEW.sounding = name
+
+
+def stop() -> None:
+    PLAYER.stop()
+    PREVIEW.sounding = PREVIEW.play_when_ready = ""
+
+
+def switch_kept(name: str) -> bool:
+    """Change between A and the newest; False where there is no A."""
+    from .images import show
+
+    if name not in PREVIEW.kept:
+        return False
+    PREVIEW.on_kept ^= {name}
+    shown = PREVIEW.shown(name)
+    if shown is not None:
+        PREVIEW.icons[name] = show(name, shown.picture)
+    return True
+
+
+def problem_of(name: str) -> str:
+    """Why the preview of a stroke is not true, "" where it is."""
+    status = STATE.strokes.get(name)
+    if status is not None and status.freshness in NOT_TRUE:
+        return status.why
+    return PREVIEW.problems.get(name, "")
+
+
+def tell(name: str, scene: Any) -> PreviewFacts:
+    """Facts of a stroke for the panels, made anew."""
+    from hnf_core.actuators.profile import levels_of
+
+    shown, profile = PREVIEW.shown(name), profile_for(scene)
+    asked = PREVIEW.asked.get(name)
+    newest = PREVIEW.heard.get(name)
+    busy = asked is not None and (newest is None or (newest.stamp, newest.look) != asked) and not problem_of(name)
+    common = {
+        "shows": "A" if name in PREVIEW.on_kept else "now",
+        "has_kept": name in PREVIEW.kept,
+        "busy": busy,
+        "playing": PREVIEW.sounding == name and PLAYER.is_playing,
+        "problem": problem_of(name),
+    }
+    if shown is None:
+        facts = PreviewFacts(name, **common)  # type: ignore[arg-type]
+    else:
+        levels = levels_of(shown.signal, profile)
+        facts = PreviewFacts(
+            name, shown.signal.duration_s, levels.peak, levels.rms, levels.headroom_db, shown.confidence,
+            lines=tuple(words(shown, profile, scene.hnf.monitor_gain_db)), **common,  # type: ignore[arg-type]
+        )  # fmt: skip
+    PREVIEW.facts[name] = facts
+    return facts
+
+
+def words(shown: Heard, profile: ActuatorProfile, gain_db: float) -> list[str]:
+    """A signal's figures, one line a thought."""
+    from hnf_core.actuators.profile import levels_of
+
+    from .monitor import clips_by_db
+
+    levels = levels_of(shown.signal, profile)
+    lines = [f"{shown.signal.duration_s:.2f} s; peak {levels.peak:.3g} m/s², RMS {levels.rms:.3g} m/s²"]
+    if levels.headroom_db is not None and levels.peak > 0.0 and profile.peak_m_s2 is not None:
+        limit = f"{profile.title} ({profile.peak_m_s2:.3g} m/s²)"
+        over = f"{-levels.headroom_db:.1f} dB too strong for {limit}"
+        lines.append(over if levels.headroom_db < 0.0 else f"{levels.headroom_db:.1f} dB below the limit of {limit}")
+    outside = [
+        f"{share:.0%} of its energy lies {side} {edge:g} Hz, outside the range of {profile.title}"
+        for share, side, edge in zip(
+            (levels.below_share, levels.above_share), ("below", "above"), profile.range_hz or (), strict=False
+        )
+        if share is not None and share >= 0.01
+    ]
+    clipped = clips_by_db(levels.peak, gain_db)
+    loud = (
+        [f"The preview clips by {clipped:.1f} dB: lower the monitor gain. The signal is not clipped"] if clipped else []
+    )
+    return [*lines, *outside, *loud, *shown.warnings]
+
+
+def profile_for(scene: Any) -> ActuatorProfile:
+    """The scene's actuator; the generic one where its name is not known."""
+    from hnf_core.actuators.profile import GENERIC, PROFILES
+
+    return PROFILES.get(scene.hnf.actuator, GENERIC)
+
+
+def look_of(context: Any) -> Look:
+    from .images import theme_of
+    from .pictures import Look
+
+    return Look(theme_of(context), profile_for(context.scene).peak_m_s2)
+
+
+def _cannot(name: str, why: str) -> None:
+    PREVIEW.problems[name] = why
+    PREVIEW.asked.pop(name, None)

@@ -1,0 +1,69 @@
+"""Blender's sound device: play samples, stop, ask where it is. Where there is none, it says so."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.errors import SceneError
+
+
+class Player:
+    """One sound at a time."""
+
+    def __init__(self) -> None:
+        self._device: Any = None
+        self._handle: Any = None
+
+    def play(self, samples: NDArray[np.float32], rate: float, *, loop: bool = False) -> None:
+        """Sound samples (n, channels), −1 … 1, from now on, in place of what sounds. Raises SceneError without a
+        sound device."""
+        self.stop()
+        aud = audio()
+        try:
+            if self._device is None:
+                self._device = aud.Device()
+            self._handle = self._device.play(aud.Sound.buffer(np.ascontiguousarray(samples, dtype=np.float32), rate))
+            if loop:
+                self._handle.loop_count = -1
+            silent = not self._handle.status
+        except Exception as error:  # aud.error, and what else a driver raises
+            self._handle = self._device = None
+            raise SceneError(f"the sound device does not play ({error}).", remedy=NO_SOUND) from error
+        if silent and len(samples):
+            self._handle = None
+            raise SceneError("there is no sound device.", remedy=NO_SOUND)
+
+    def stop(self) -> None:
+        if self._handle is not None and self._handle.status:
+            self._handle.stop()
+        self._handle = None
+
+    @property
+    def is_playing(self) -> bool:
+        return self._handle is not None and bool(self._handle.status)
+
+    @property
+    def position_s(self) -> float:
+        """Seconds into the sound."""
+        return float(self._handle.position) if self.is_playing else 0.0
+
+    def release(self) -> None:
+        self.stop()
+        self._device = None
+
+
+NO_SOUND = "Choose one in Preferences > System > Sound, or export the WAV and play it elsewhere."
+
+
+def audio() -> Any:
+    """Blender's `aud` module. Raises SceneError where this Blender is built without it."""
+    try:
+        return importlib.import_module("aud")
+    except ImportError as error:
+        raise SceneError(
+            "this Blender is built without sound.", remedy="Export the WAV and play it elsewhere."
+        ) from error

@@ -1,0 +1,71 @@
+"""What the panels show of a preview. Reading it computes nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .hearing import Heard, Listener
+
+
+@dataclass(frozen=True)
+class PreviewFacts:
+    """A stroke's signal as it is shown. Figures in s, m/s² and dB; headroom_db: None where the actuator's largest is
+    not known. shows: "A" (kept) or "now". has_kept: is there an A. busy: a newer one is being made. problem: why what
+    is shown is not true any more, or why there is nothing; "" = true. lines: all of it in words."""
+
+    stroke: str
+    duration_s: float = 0.0
+    peak_m_s2: float = 0.0
+    rms_m_s2: float = 0.0
+    headroom_db: float | None = None
+    confidence: float = 0.0
+    shows: str = "now"
+    has_kept: bool = False
+    busy: bool = False
+    playing: bool = False
+    problem: str = ""
+    lines: tuple[str, ...] = ()
+
+
+@dataclass
+class PreviewState:
+    """All by stroke name. heard: the newest signal. kept: A of the comparison. on_kept: strokes of which A is heard.
+    asked: stamp of the newest request. problems: why there is no true signal. facts, icons: what panels show.
+    play_when_ready: stroke to be played when its signal is there. sounding: stroke that plays, "" = none or the
+    timeline."""
+
+    heard: dict[str, Heard] = field(default_factory=dict)
+    kept: dict[str, Heard] = field(default_factory=dict)
+    on_kept: set[str] = field(default_factory=set)
+    asked: dict[str, object] = field(default_factory=dict)
+    problems: dict[str, str] = field(default_factory=dict)
+    facts: dict[str, PreviewFacts] = field(default_factory=dict)
+    icons: dict[str, int] = field(default_factory=dict)
+    play_when_ready: str = ""
+    sounding: str = ""
+    listener: Listener | None = None
+
+    def shown(self, name: str) -> Heard | None:
+        """What is heard and seen of a stroke: A, or the newest."""
+        return self.kept.get(name) if name in self.on_kept else self.heard.get(name)
+
+    def clear(self) -> None:
+        """Another file is open."""
+        for each in (self.heard, self.kept, self.on_kept, self.asked, self.problems, self.facts, self.icons):
+            each.clear()
+        self.play_when_ready = self.sounding = ""
+
+
+PREVIEW = PreviewState()
+
+
+def preview_facts(obj: Any) -> PreviewFacts | None:
+    """Of a stroke object; None where nothing is known of it yet."""
+    return None if obj is None else PREVIEW.facts.get(obj.name)
+
+
+def preview_icon(obj: Any) -> int:
+    """Icon of a stroke's picture for template_icon; 0 where there is none (yet, or without a window)."""
+    return 0 if obj is None else PREVIEW.icons.get(obj.name, 0)

@@ -1,0 +1,126 @@
+"""A stroke's signal on its way out: to a file, to the sequencer, to a speaker. Only what is true leaves."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from hnf_core.errors import FileError, SceneError
+from hnf_core.export.wav import wav_bytes
+from hnf_core.files import write_bytes
+from hnf_core.signal import Signal
+
+from ..state.session import STATE, Freshness
+from .facts import PREVIEW
+from .monitor import monitor_factor
+
+STROKE_PROPERTY = "hnf_stroke_name"
+"""On strips and speakers: the stroke they sound like, so that adding again replaces."""
+
+
+def true_signal(obj: Any, context: Any) -> Signal:
+    """The signal of a stroke as `hnf touch` would write it now.
+
+    Looks at the scene anew. Raises SceneError naming the stroke where its bake does not hold, StrokeError where it
+    cannot be read.
+    """
+    from ..state.watch import refresh_status
+    from .hearing import Kept, hear
+    from .pictures import Look
+    from .present import present
+
+    refresh_status(context.scene, [obj.name], context.view_layer)
+    status, where = STATE.strokes.get(obj.name), f"stroke '{obj.name}'"
+    if status is None or status.freshness not in (Freshness.FRESH, Freshness.FORCE):
+        why = status.why if status is not None else "it is not in this scene."
+        again = "" if "ake" in why else "Bake it first."
+        raise SceneError(why.removeprefix(f"{where}: "), where=where, remedy=again)
+    now = present(obj, context.scene)
+    if now is None:
+        raise SceneError("it is not baked.", where=where, remedy="Bake it first.")
+    heard = PREVIEW.heard.get(obj.name)
+    if heard is not None and (heard.stamp, heard.name) == (now.stamp, now.name):
+        return heard.signal
+    return hear(now, Look(), Kept()).signal
+
+
+def export_folder(scene: Any) -> Path:
+    """Where Scene.hnf says. Raises FileError where it is beside a file that is not saved yet."""
+    import bpy
+
+    text = str(scene.hnf.export_folder)
+    if text.startswith("//") and not bpy.data.filepath:
+        raise FileError(
+            f"the export folder '{text}' is beside this .blend, which is not saved yet.",
+            where="export",
+            remedy="Save the file (Ctrl S), or choose a folder in the Export panel.",
+        )
+    if not text:
+        raise FileError("no export folder is set.", where="export", remedy="Choose one in the Export panel.")
+    return Path(bpy.path.abspath(text))
+
+
+def write_wav_of(obj: Any, context: Any) -> Path:
+    """Write a stroke's WAV: 10 kHz, float32, m/s², with the metadata of `hnf touch`; returns its path."""
+    from ..touch.deliver import file_stem
+
+    signal = true_signal(obj, context)
+    path = export_folder(context.scene) / f"{file_stem(obj.name)}.wav"
+    write_bytes(path, wav_bytes(signal, where=f"stroke '{obj.name}'"))
+    return path
+
+
+def add_strip(obj: Any, context: Any) -> Any:
+    """A sound strip of the stroke at its start frame, its volume as the monitor's; in place of an earlier one of the
+    same stroke. Its file is the exported WAV."""
+    import bpy
+
+    from ..compat import sequencer_strips
+
+    path, scene = write_wav_of(obj, context), context.scene
+    editor = scene.sequence_editor or scene.sequence_editor_create()
+    strips, channel = sequencer_strips(editor), 0
+    for strip in list(strips):
+        if strip.get(STROKE_PROPERTY) == obj.name:
+            channel = strip.channel
+            strips.remove(strip)
+    frame = round(float(obj.hnf_stroke.start))
+    if not channel:
+        channel = max((int(strip.channel) for strip in strips), default=0) + 1
+    sound_path = bpy.path.relpath(str(path)) if scene.hnf.export_folder.startswith("//") else str(path)
+    strip = strips.new_sound(name=obj.name, filepath=sound_path, channel=channel, frame_start=frame)
+    strip[STROKE_PROPERTY] = obj.name
+    strip.volume = monitor_factor(scene.hnf.monitor_gain_db)
+    return strip
+
+
+def add_speaker_of(obj: Any, context: Any) -> Any:
+    """A Speaker where the stroke begins, moving with its surface, its sound packed into the .blend; in place of an
+    earlier one of the same stroke. Object Mode only."""
+    import bpy
+
+    from ..bridge.importers import metres_per_unit
+    from ..bridge.speakers import add_speaker
+    from ..bridge.stroke_timeline import stroke_timeline
+    from ..touch.deliver import file_stem
+
+    signal, scene = true_signal(obj, context), context.scene
+    scale = metres_per_unit(scene, float(scene.hnf.metres_per_unit) or None)
+    timeline = stroke_timeline(obj, scene, scale)
+    place = timeline.arc.point_at(timeline.position[:1])[0] / scale
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"{file_stem(obj.name)}.wav"
+        write_bytes(path, wav_bytes(signal, where=f"stroke '{obj.name}'"))
+        sound = bpy.data.sounds.load(str(path), check_existing=False)
+        sound.pack()
+    for other in [each for each in scene.objects if each.get(STROKE_PROPERTY) == obj.name and each.type == "SPEAKER"]:
+        data = other.data
+        bpy.data.objects.remove(other)
+        if data.users == 0:
+            bpy.data.speakers.remove(data)
+    surface = scene.objects.get(STATE.strokes[obj.name].object_name)
+    speaker = add_speaker(sound, f"{obj.name} speaker", tuple(place), float(obj.hnf_stroke.start), surface)
+    speaker[STROKE_PROPERTY] = obj.name
+    speaker.data.volume = min(monitor_factor(scene.hnf.monitor_gain_db), 1.0)
+    return speaker
