@@ -56,6 +56,7 @@ class HNF_OT_preview_play(bpy.types.Operator):  # type: ignore[misc]  # noqa: N8
         if problem:
             self.report({"WARNING"}, problem)
             return {"CANCELLED"}
+        STATE.heard = True
         if heard is None and stroke.name not in PREVIEW.on_kept:
             PREVIEW.play_when_ready = stroke.name
             return {"FINISHED"}

@@ -12,6 +12,7 @@ MODULES = (
     "scene_panel",
     "materials_panel",
     "strokes_panel",
+    "preview_panel",
     "export_panel",
     "actuator_panel",
     "diagnose_panel",

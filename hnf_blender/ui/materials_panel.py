@@ -11,7 +11,7 @@ from ..props.material import OWN_DEFINITION
 from ..state.session import STATE, StrokeStatus
 from ..translations import tr
 from .layout import TouchPanel, hint, named, paragraph, side_by_side
-from .texts import routes_lines, sure_text
+from .texts import reason_text, routes_lines, sure_text
 
 MOST_SUGGESTIONS = 4
 
@@ -95,7 +95,7 @@ def draw_material(layout: Any, context: Any, material: Any) -> None:
         )  # fmt: skip
         choose.material, choose.name = material.name, suggestion.name
     if ranked:
-        paragraph(box, context, tr("Why: {reason}").format(reason=ranked[0].reason), icon="INFO")
+        paragraph(box, context, tr("Why: {reason}").format(reason=reason_text(ranked[0].reason)), icon="INFO")
     row = side_by_side(box, context)
     row.operator("hnf.suggest", text="Suggest", icon="LIGHT")
     row.operator("hnf.material_choose", text="Choose…", icon="VIEWZOOM").material = material.name

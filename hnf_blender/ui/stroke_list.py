@@ -51,7 +51,7 @@ class HNF_UL_strokes(bpy.types.UIList):  # type: ignore[misc]  # noqa: N801
         name.alignment = "LEFT"
         select = name.operator(
             "hnf.stroke_select",
-            text=shortened(obj.name, max(4, int(NAME_SHARE * characters(context)) - 2)),
+            text=shortened(obj.name, max(4, int(NAME_SHARE * characters(context)) - 6)),
             icon=look(status)[0],
             emboss=False,
             translate=False,

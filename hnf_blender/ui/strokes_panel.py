@@ -78,7 +78,11 @@ class HNF_PT_stroke(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # noqa: N
         if group.surface is None:
             paragraph(column, context, tr("Empty: the nearest visible mesh is touched"), icon="BLANK1")
         column.prop(group, "probe")
-        row = column.row(align=True)
+        split = column.split(factor=0.4)
+        label = split.row()
+        label.alignment = "RIGHT"
+        label.label(text="Feels")
+        row = split.row(align=True)
         felt = spoken(group.material) if group.material else tr("What is there")
         row.operator("hnf.stroke_material", text=named(context, felt, taken=6), icon="MATERIAL", translate=False)
         if group.material:

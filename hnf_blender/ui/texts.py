@@ -149,6 +149,14 @@ def routes_lines(routes: str) -> tuple[str, ...]:
     return tuple(lines)
 
 
+def reason_text(reason: str) -> str:
+    """ "'oak' in 'Old oak table'; roughness 0.60 fits" → "the name says oak; roughness 0.60 fits"."""
+    words = ", ".join(re.findall(r"'([^']+)' in '", reason))
+    values = [part for part in reason.split("; ") if part.endswith((" fits", " does not fit"))]
+    said = [tr("the name says {words}").format(words=words)] if words else []
+    return "; ".join(said + values) or reason
+
+
 def sure_text(confidence: float) -> str:
     """0.64 → "64 % sure"."""
     return tr("{percent} % sure").format(percent=round(100.0 * confidence))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 import pytest
+from builders import add_plane, datablock_names
 
 from hnf_blender.bridge.shader_values import stated_appearance
 from hnf_blender.compat import switch_nodes_on
@@ -11,8 +12,6 @@ from hnf_blender.ops.materials import CLASSES, LIBRARY, felt_object
 from hnf_blender.rooms import switch_off, switch_on
 from hnf_blender.state.session import STATE
 from hnf_core.material.library import load_library
-
-from builders import add_plane, datablock_names
 
 
 @pytest.fixture(autouse=True)

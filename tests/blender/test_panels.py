@@ -13,6 +13,7 @@ from panel_recorder import Recorder, drawn, rna_of
 
 import hnf_blender.ops
 import hnf_blender.ui
+from hnf_blender.preview.facts import PREVIEW, PreviewFacts
 from hnf_blender.props.scene import active_stroke
 from hnf_blender.rooms import classes_of
 from hnf_blender.state.session import (
@@ -40,6 +41,7 @@ def switched_on():
     STATE.clear()
     STATE.heard = False
     yield
+    PREVIEW.clear()
     STATE.clear()
     STATE.heard = False
     hnf_blender.ui.unregister()
@@ -71,6 +73,10 @@ def fill() -> None:
         STATE.strokes[name] = StrokeStatus(
             freshness, "", 1.2, "Plane", "oak-wood", "8–2 mm measured, 1–0.125 mm prior", 0.64, ("fast",)
         )
+        PREVIEW.facts[name] = PreviewFacts(
+            name, 1.2, 3.0, 1.0, 20.0, 0.64, has_kept=freshness is Freshness.FRESH, busy=freshness is Freshness.FORCE,
+            problem="stale" if freshness is Freshness.STALE else "", lines=("1.20 s; peak 3 m/s², RMS 1 m/s²",),
+        )  # fmt: skip
     kinds = tuple(PlanLine(kind, f"stroke '{LONG}'", "because") for kind in texts.KINDS for _ in range(8))
     STATE.plan = PlanView(kinds, 75.0, 48_321)
     STATE.last_job = LastJob(False, "The bake stopped. Bake again.", ("Killed",))
@@ -231,6 +237,15 @@ def test_routes_are_said_in_an_artists_words() -> None:
     assert texts.routes_lines("") == ()
 
 
+def test_reasons_are_short() -> None:
+    reason = "'oak' in 'Old oak table; sanded'; 'table' in 'Old oak table'; roughness 0.60 fits"
+    assert texts.reason_text("'oak' in 'Old oak'; 'table' in 'Old table'; colour fits") == (
+        "the name says oak, table; colour fits"
+    )
+    assert texts.reason_text("nothing in the scene tells") == "nothing in the scene tells"
+    assert "roughness 0.60 fits" in texts.reason_text(reason)
+
+
 def test_what_the_strokes_are_is_counted() -> None:
     states = [Freshness.FRESH, Freshness.FORCE, Freshness.STALE, Freshness.BROKEN]
     assert texts.counts_text([StrokeStatus(each) for each in states]) == "2 up to date, 1 to bake, 1 broken"
@@ -244,8 +259,8 @@ sys.path.insert(0, {root!r})
 
 def left():
     names = {{name for name in dir(bpy.types) if "hnf" in name.lower()}}
-    owned = {{f"{{owner}}.{{name}}" for owner in ("Object", "Scene", "Material") for name in dir(getattr(bpy.types, owner))
-             if name.startswith("hnf")}}
+    owned = {{f"{{owner}}.{{name}}" for owner in ("Object", "Scene", "Material")
+             for name in dir(getattr(bpy.types, owner)) if name.startswith("hnf")}}
     listed = {{(kind, getattr(each, "__name__", str(each))) for kind in dir(bpy.app.handlers)
               if isinstance(getattr(bpy.app.handlers, kind), list) for each in getattr(bpy.app.handlers, kind)}}
     keys = {{(config.name, keymap.name, item.idname) for config in bpy.context.window_manager.keyconfigs

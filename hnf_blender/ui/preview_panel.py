@@ -1,0 +1,91 @@
+"""Preview: the signal seen, heard, and held against the actuator's limits."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ..preview.facts import PreviewFacts, preview_facts, preview_icon
+from ..props.scene import active_stroke, strokes_of
+from ..translations import tr
+from .layout import TouchPanel, hint, paragraph
+
+UNIT_PX, PICTURE_UNITS = 20.0, (5.0, 18.0)
+"""Of Blender's interface; smallest and largest picture."""
+
+
+def picture_units(width_px: float, scale: float) -> float:
+    """Size of the square picture in interface units: as wide as the panel."""
+    least, most = PICTURE_UNITS
+    return min(max((width_px / scale - 50.0) / UNIT_PX, least), most)
+
+
+class HNF_PT_preview(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801  # bpy has no types
+    bl_label = "Preview"
+    bl_order = 3
+
+    def draw(self, context: Any) -> None:
+        layout, stroke = self.layout, active_stroke(context)
+        if stroke is None:
+            text = tr("Click a stroke in the list to hear it") if strokes_of(context.scene) else ""
+            hint(layout, context, text or tr("Nothing to hear yet: draw a stroke, then bake it"))
+            return
+        facts, icon = preview_facts(stroke), preview_icon(stroke)
+        if icon:
+            size = picture_units(context.region.width, float(context.preferences.system.ui_scale))
+            layout.template_icon(icon_value=icon, scale=size)
+        row = layout.row(align=True)
+        row.scale_y = 1.3
+        if facts is not None and facts.playing:
+            row.operator("hnf.preview_stop", text="Stop", icon="SNAP_FACE")
+        else:
+            row.operator("hnf.preview_play", text="Play", icon="PLAY")
+        row.prop(context.scene.hnf, "loop", text="", icon="FILE_REFRESH")
+        if facts is None:
+            hint(layout, context, tr("Bake this stroke to see and hear it"))
+            return
+        if facts.problem:
+            box = layout.box()
+            box.alert = True
+            paragraph(box, context, tr(facts.problem), icon="ERROR")
+        elif facts.busy:
+            paragraph(layout, context, tr("Listening to the change"), icon="SORTTIME")
+        column = layout.column(align=True)
+        for line in facts.lines:
+            paragraph(column, context, line, icon="DOT")
+        draw_comparison(layout, facts)
+
+
+def draw_comparison(layout: Any, facts: PreviewFacts) -> None:
+    """A, kept; and what the stroke is now."""
+    if not facts.has_kept:
+        layout.operator("hnf.preview_ab", text="Keep as A to Compare", icon="PINNED").action = "KEEP"
+        return
+    row = layout.row(align=True)
+    on_kept = facts.shows == "A"
+    switch = row.operator(
+        "hnf.preview_ab",
+        text="A: the Kept One" if on_kept else "B: as It Is Now",
+        icon="ARROW_LEFTRIGHT",
+        depress=on_kept,
+    )
+    switch.action = "SWITCH"
+    row.operator("hnf.preview_ab", text="", icon="X").action = "FORGET"
+
+
+class HNF_PT_monitor(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
+    bl_label = "Monitor"
+    bl_parent_id = "HNF_PT_preview"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012  # Blender reads a set
+
+    def draw(self, context: Any) -> None:
+        layout, settings = self.layout, context.scene.hnf
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        layout.prop(settings, "monitor_gain_db", text="Monitor gain (dB)")
+        paragraph(layout, context, tr("Headphones only: the signal and its files stay in m/s²"), icon="INFO")
+        layout.prop(settings, "follow_timeline")
+
+
+CLASSES = (HNF_PT_preview, HNF_PT_monitor)
