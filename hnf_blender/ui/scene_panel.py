@@ -123,13 +123,18 @@ class HNF_PT_scale(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: 
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
 
     def draw(self, context: Any) -> None:
+        from ..bridge.importers import metres_per_unit
+
         layout, scene = self.layout, context.scene
         layout.use_property_split = True
         layout.use_property_decorate = False
         layout.prop(scene.hnf, "metres_per_unit")
-        own = float(scene.hnf.metres_per_unit)
-        metres = own or float(scene.unit_settings.scale_length)
-        text = tr("One unit is {size} (set here)") if own else tr("One unit is {size} (from the scene's unit scale)")
+        metres = metres_per_unit(scene)
+        text = (
+            tr("One unit is {size} (set here)")
+            if scene.hnf.metres_per_unit
+            else tr("One unit is {size} (from the scene's unit scale)")
+        )
         paragraph(layout, context, text.format(size=f"{metres:g} m"), icon="INFO")
 
 

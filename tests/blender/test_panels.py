@@ -5,15 +5,17 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import pytest
 from builders import add_plane
-from panel_recorder import Recorder, drawn, rna_of
+from panel_recorder import Recorder, context_of, drawn, rna_of
 
 import hnf_blender.ops
 import hnf_blender.ui
 from hnf_blender.preview.facts import PREVIEW, PreviewFacts
+from hnf_blender.prefs import HnfPreferences, Settings, settings
 from hnf_blender.props.scene import active_stroke
 from hnf_blender.rooms import classes_of
 from hnf_blender.state.session import (
@@ -162,6 +164,16 @@ def test_a_running_job_shows_its_stage_and_the_way_out() -> None:
     assert "Close-ups: 3 of 12" in scene.words
     assert "about 11 s left" in scene.words
     assert scene.operators == ["hnf.bake_cancel"]
+
+
+def test_the_preferences_draw_and_are_read() -> None:
+    recorder = Recorder()
+    HnfPreferences.draw(SimpleNamespace(layout=recorder), context_of())
+    assert recorder.props == ["overlay", "default_probe"]
+    assert "hnf.cache_clear" in recorder.operators
+    assert "torch" in recorder.words
+    properties = {name: getattr(Settings(), name) for name in HnfPreferences.__annotations__}
+    assert settings(bpy.context) == Settings(**properties)  # where Blender keeps none
 
 
 def test_the_ready_strokes_are_the_primitives() -> None:
