@@ -14,8 +14,8 @@ from panel_recorder import Recorder, context_of, drawn, rna_of
 
 import hnf_blender.ops
 import hnf_blender.ui
-from hnf_blender.preview.facts import PREVIEW, PreviewFacts
 from hnf_blender.prefs import HnfPreferences, Settings, settings
+from hnf_blender.preview.facts import PREVIEW, PreviewFacts
 from hnf_blender.props.scene import active_stroke
 from hnf_blender.rooms import classes_of
 from hnf_blender.state.session import (
@@ -168,7 +168,8 @@ def test_a_running_job_shows_its_stage_and_the_way_out() -> None:
 
 def test_the_preferences_draw_and_are_read() -> None:
     recorder = Recorder()
-    HnfPreferences.draw(SimpleNamespace(layout=recorder), context_of())
+    declared = SimpleNamespace(properties=HnfPreferences.__annotations__)
+    HnfPreferences.draw(SimpleNamespace(layout=recorder, bl_rna=declared), context_of())
     assert recorder.props == ["overlay", "default_probe"]
     assert "hnf.cache_clear" in recorder.operators
     assert "torch" in recorder.words
