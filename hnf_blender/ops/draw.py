@@ -134,9 +134,14 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
         from ..tool.pen import Pen
 
         self._pen = Pen(context, self.force_at)
-        if not self.wait_for_input and not self._pen.press(context, event):
+        try:
+            begun = self.wait_for_input or self._pen.press(context, event, context.region)
+        except Exception:
             self._pen.close(context)
-            self.report({"WARNING"}, self._pen.why_not or "Press on a mesh that is visible here")
+            raise
+        if not begun:
+            self._pen.close(context)
+            self.report({"WARNING"}, self._pen.why_not)
             return {"CANCELLED"}
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
@@ -154,10 +159,11 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
             pen.close(context)
             return {"CANCELLED"}
         if not pen.is_down:
-            if event.type != "LEFTMOUSE" or event.value != "PRESS" or not pen.is_over(event):
+            region = None if event.value != "PRESS" or event.type != "LEFTMOUSE" else pen.region_under(context, event)
+            if region is None:
                 return {"PASS_THROUGH"}
-            if not pen.press(context, event):
-                self.report({"WARNING"}, pen.why_not or "Press on a mesh that is visible here")
+            if not pen.press(context, event, region):
+                self.report({"WARNING"}, pen.why_not)
             return {"RUNNING_MODAL"}
         if event.type in {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE"}:
             pen.move(context, event)
@@ -196,6 +202,11 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
 
     def _make(self, context: Any) -> str:
         """Make the stroke object and select it; what was made, in words. Raises HnfError where nothing was made."""
+        from hnf_core.action.contacts import CONTACT_TOLERANCE_M
+        from hnf_core.action.pen_stroke import PenSamples, PenStyle
+
+        import numpy as np
+
         from hnf_core.action.contacts import CONTACT_TOLERANCE_M
         from hnf_core.action.pen_stroke import PenSamples, PenStyle
 

@@ -64,4 +64,4 @@ def _fit(screen_name: str, place: int) -> None:
         region = next((region for region in area.regions if region.type == "WINDOW"), None)
         if area.type == "GRAPH_EDITOR" and region is not None:
             with bpy.context.temp_override(window=window, area=area, region=region):
-                bpy.ops.graph.view_all()
+                bpy.ops.graph.view_all(include_handles=False)

@@ -6,6 +6,8 @@ from typing import Any
 
 import bpy
 
+from ..prefs import settings
+
 
 def add_menu(self: Any, _context: Any) -> None:
     """Blender calls this while it draws its Add menu."""
@@ -31,7 +33,19 @@ def object_menu(self: Any, context: Any) -> None:
         layout.operator("hnf.stroke_from_curve", icon="CURVE_PATH")
 
 
-PLACES = (("VIEW3D_MT_add", add_menu), ("VIEW3D_MT_object_context_menu", object_menu))
+def overlay_switch(self: Any, context: Any) -> None:
+    """Blender calls this while it draws the popover of the viewport's overlays."""
+    held = settings(context)
+    if isinstance(held, bpy.types.AddonPreferences):
+        self.layout.prop(held, "overlay", text="Touch Strokes")
+
+
+PLACES = (
+    ("VIEW3D_MT_add", add_menu),
+    ("VIEW3D_MT_object_context_menu", object_menu),
+    ("VIEW3D_PT_overlay", overlay_switch),
+)
+"""Blender's own menus and panels, and what is added to the end of each."""
 
 
 def register() -> None:

@@ -32,7 +32,8 @@ class Pen:
 
     def __init__(self, context: Any, force_at: Callable[[float, bool], float]) -> None:
         self.surface, self.why_not, self.is_down = "", "", False
-        self._force_at, self._area = force_at, context.area
+        self._force_at = force_at
+        self._area: Any = None
         self._region: Any = None
         self._local: list[tuple[float, float, float]] = []
         self._pressure: list[float] = []
@@ -58,26 +59,45 @@ class Pen:
             self._handle = None
         if context.workspace is not None:
             context.workspace.status_text_set(None)
-        self._tag_redraw()
+        for window in context.window_manager.windows:
+            for area in window.screen.areas:
+                if area.type == "VIEW_3D":
+                    area.tag_redraw()
 
     @property
     def is_click(self) -> bool:
         """The pen did not move further than a hand trembles."""
         return self._travelled_px < CLICK_PX
 
-    def is_over(self, event: Any) -> bool:
-        """Is the pen over the main region of the view?"""
-        return self._region_under(event) is not None
+    def region_under(self, context: Any, event: Any) -> Any:
+        """The main region of the 3-D view under the pen, or None; not where a sidebar or header lies over it."""
+        found = None
+        for area in context.window.screen.areas if context.window is not None else ():
+            for region in area.regions if area.type == "VIEW_3D" else ():
+                inside = (
+                    region.x <= event.mouse_x < region.x + region.width
+                    and region.y <= event.mouse_y < region.y + region.height
+                )
+                if inside and region.type == "WINDOW":
+                    found = region
+                elif inside and region.width > 1 and region.height > 1:
+                    return None
+        return found
 
-    def press(self, context: Any, event: Any) -> bool:
-        """Begin; False, with why_not, where there is nothing to touch."""
-        self._region = self._region_under(event)
-        if self._region is None:
+    def press(self, context: Any, event: Any, region: Any) -> bool:
+        """Begin in a region of a 3-D view; False, with why_not, where there is nothing to touch."""
+        self.why_not = "No mesh under the pen: press on a surface that is visible here"
+        if context.mode != "OBJECT":
+            self.why_not = "Strokes are drawn in Object Mode: press Tab"
+            return False
+        areas = context.window.screen.areas
+        self._region = region
+        self._area = next((area for area in areas if region in tuple(area.regions) and area.type == "VIEW_3D"), None)
+        if self._area is None or region.type != "WINDOW":
             return False
         x, y = event.mouse_x - self._region.x, event.mouse_y - self._region.y
         hit = self._cast(context, x, y)
         if hit is None:
-            self.why_not = "No mesh under the pen: press on a surface that is visible here"
             return False
         if hit.obj.hide_render:
             self.why_not = f"'{hit.obj.name}' is hidden in renders, and what is touched is rendered"
@@ -162,20 +182,6 @@ class Pen:
             view3d_utils.region_2d_to_vector_3d(self._region, region_data, at),
         )
 
-    def _region_under(self, event: Any) -> Any:
-        """The view's main region under the pen; not where a sidebar or header lies over it."""
-        found = None
-        for region in self._area.regions:
-            inside = (
-                region.x <= event.mouse_x < region.x + region.width
-                and region.y <= event.mouse_y < region.y + region.height
-            )
-            if inside and region.type == "WINDOW":
-                found = region
-            elif inside and region.width > 1 and region.type in {"UI", "HEADER", "TOOL_HEADER", "TOOLS"}:
-                return None
-        return found
-
     def _tell(self, context: Any) -> None:
         force = self._force_at(self._pressure[-1], self._is_pen)
         state = f"{force:.2f} N" if self._touching[-1] else "off the surface: silent"
@@ -183,11 +189,7 @@ class Pen:
         context.workspace.status_text_set(
             f"Stroke on {self.surface}: {length:.0f} mm, {state}.  Release: done.  ESC or right click: give up"
         )
-        self._tag_redraw()
-
-    def _tag_redraw(self) -> None:
-        if self._area is not None:
-            self._area.tag_redraw()
+        self._area.tag_redraw()
 
     def _draw(self) -> None:
         """Blender calls this after the 3-D view is drawn: the line so far, by force."""

@@ -12,6 +12,9 @@ from ..ops.draw import draw_style
 ICON = Path(__file__).resolve().parent / "data" / "hnf.stroke"
 """Without its ending .dat, as Blender asks for it; tools/make_tool_icon.py makes it."""
 
+KEYMAP = "3D View Tool: Object, Touch Stroke"
+"""As Blender names the keymap of the tool below."""
+
 
 class HNF_TOOL_stroke(bpy.types.WorkSpaceTool):  # type: ignore[misc]  # noqa: N801  # bpy has no types
     bl_space_type = "VIEW_3D"
@@ -20,7 +23,8 @@ class HNF_TOOL_stroke(bpy.types.WorkSpaceTool):  # type: ignore[misc]  # noqa: N
     bl_label = "Touch Stroke"
     bl_description = (
         "Stroke a surface: drag over it with a pen or the mouse. Pressure becomes force in newtons, timing becomes "
-        "speed in mm/s"
+        "speed in mm/s. "
+        "Ctrl click selects"
     )
     bl_icon = str(ICON)
     bl_cursor = "PAINT_BRUSH"
@@ -30,6 +34,11 @@ class HNF_TOOL_stroke(bpy.types.WorkSpaceTool):  # type: ignore[misc]  # noqa: N
             "hnf.stroke_draw",
             {"type": "LEFTMOUSE", "value": "PRESS"},
             {"properties": [("wait_for_input", False)]},
+        ),
+        (
+            "view3d.select",
+            {"type": "LEFTMOUSE", "value": "PRESS", "ctrl": True},
+            {"properties": [("deselect_all", True)]},
         ),
     )
 
@@ -44,3 +53,7 @@ def register() -> None:
 
 def unregister() -> None:
     bpy.utils.unregister_tool(HNF_TOOL_stroke)
+    # Blender takes the tool's keymap out of its own and the add-ons' key configuration; the merged one keeps a copy.
+    merged = bpy.context.window_manager.keyconfigs.user
+    for keymap in [keymap for keymap in merged.keymaps if keymap.name == KEYMAP]:
+        merged.keymaps.remove(keymap)

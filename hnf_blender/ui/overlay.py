@@ -5,35 +5,50 @@ Handlers note what changed; a timer that runs once computes it; drawing only dra
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import bpy
-import numpy as np
 from bpy.app.handlers import persistent
 
+from ..bridge.temporary import SCENE_NAME
 from ..prefs import settings
 from ..props.scene import active_stroke, strokes_of
-from . import overlay_gpu
-from .overlay_paths import OverlayPath, overlay_path
+from ..state.session import STATE
+
+if TYPE_CHECKING:
+    from .overlay_paths import OverlayPath
 
 SOON_S = 0.05
 """After a change; a drag makes many, and only the last of them within this time is computed."""
 
-_paths: dict[str, OverlayPath | None] = {}
-_dirty: set[str] = set()
-_seen: dict[str, Any] = {"all": True, "rate": None, "handle": None}
+
+@dataclass
+class Overlay:
+    """paths: by stroke object name; None: it cannot be read. dirty: names of datablocks that changed. all_dirty:
+    nothing kept is known to hold. rates: what turns times into frames, by scene name. handle: of the draw handler."""
+
+    paths: dict[str, OverlayPath | None] = field(default_factory=dict)
+    dirty: set[str] = field(default_factory=set)
+    all_dirty: bool = True
+    rates: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    handle: Any = None
+    has_batches: bool = False
+
+
+OVERLAY = Overlay()
 
 
 def register() -> None:
     """With a window only."""
     for name, handler in HANDLERS:
         getattr(bpy.app.handlers, name).append(handler)
-    _seen["handle"] = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_VIEW")
+    OVERLAY.handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_VIEW")
     _everything()
 
 
 def unregister() -> None:
-    bpy.types.SpaceView3D.draw_handler_remove(_seen["handle"], "WINDOW")
+    bpy.types.SpaceView3D.draw_handler_remove(OVERLAY.handle, "WINDOW")
     for name, handler in reversed(HANDLERS):
         getattr(bpy.app.handlers, name).remove(handler)
     if bpy.app.timers.is_registered(_refresh):
@@ -42,26 +57,30 @@ def unregister() -> None:
 
 
 def _forget() -> None:
-    _paths.clear()
-    _dirty.clear()
-    overlay_gpu.forget()
+    OVERLAY.paths.clear()
+    OVERLAY.dirty.clear()
+    OVERLAY.rates.clear()
+    if OVERLAY.has_batches:
+        from . import overlay_gpu
+
+        overlay_gpu.forget()
 
 
 @persistent  # type: ignore[untyped-decorator]  # bpy has no types
 def _changed(scene: Any, depsgraph: Any) -> None:
     """Names of what a stroke may be drawn from."""
-    rate = (scene.name, scene.render.fps, scene.render.fps_base, scene.hnf.metres_per_unit)
-    if rate != _seen["rate"]:
-        _seen["rate"] = rate
+    if STATE.own or scene.name == SCENE_NAME:
+        return
+    rate = (float(scene.render.fps), float(scene.render.fps_base), float(scene.hnf.metres_per_unit))
+    if rate != OVERLAY.rates.get(scene.name):
+        OVERLAY.rates[scene.name] = rate
         _everything()
         return
-    names = {
-        update.id.name for update in depsgraph.updates if isinstance(update.id, bpy.types.Object | bpy.types.Curve)
-    }
-    if any(isinstance(update.id, bpy.types.Action) for update in depsgraph.updates):
-        names |= set(_paths)
+    names = {str(update.id.name) for update in depsgraph.updates if update.id.bl_rna.identifier in ("Object", "Curve")}
+    if any(update.id.bl_rna.identifier == "Action" for update in depsgraph.updates):
+        names |= set(OVERLAY.paths)
     if names:
-        _dirty.update(names)
+        OVERLAY.dirty |= names
         _soon()
 
 
@@ -81,7 +100,7 @@ HANDLERS = (
 
 
 def _everything() -> None:
-    _seen["all"] = True
+    OVERLAY.all_dirty = True
     _soon()
 
 
@@ -91,55 +110,70 @@ def _soon() -> None:
 
 
 def _refresh() -> None:
-    """Timer, once: compute what has changed."""
-    from ..ops.active import metres_of
-
+    """Timer, once: compute what has changed in the scenes that the windows show."""
     context = bpy.context
-    scene = context.scene
-    if scene is None or not hasattr(scene, "hnf"):
-        return
-    strokes = {obj.name: obj for obj in strokes_of(scene)}
-    for name in [name for name in _paths if name not in strokes]:
-        del _paths[name]
-        overlay_gpu.forget(name)
-    depsgraph = context.evaluated_depsgraph_get()
-    for name, obj in strokes.items():
-        if _seen["all"] or name not in _paths or name in _dirty or obj.data.name in _dirty:
-            _paths[name] = overlay_path(obj, scene, depsgraph, metres_of(scene))
+    shown = {window.scene.name: window for window in context.window_manager.windows}
+    strokes = {obj.name for window in shown.values() for obj in strokes_of(window.scene)}
+    gone = set(OVERLAY.paths) - strokes
+    if strokes or gone:
+        from . import overlay_gpu
+
+        for name in gone:
+            del OVERLAY.paths[name]
             overlay_gpu.forget(name)
-    _seen["all"] = False
-    _dirty.clear()
+        for window in shown.values():
+            with context.temp_override(window=window):
+                _compute(window.scene, bpy.context.evaluated_depsgraph_get())
+    OVERLAY.all_dirty = False
+    OVERLAY.dirty.clear()
     for window in context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "VIEW_3D":
                 area.tag_redraw()
 
 
+def _compute(scene: Any, depsgraph: Any) -> None:
+    from ..ops.active import metres_of
+    from . import overlay_gpu
+    from .overlay_paths import overlay_path
+
+    for obj in strokes_of(scene):
+        name = obj.name
+        if OVERLAY.all_dirty or name not in OVERLAY.paths or name in OVERLAY.dirty or obj.data.name in OVERLAY.dirty:
+            OVERLAY.paths[name] = overlay_path(obj, scene, depsgraph, metres_of(scene))
+            overlay_gpu.forget(name)
+
+
 def _draw() -> None:
     """Blender calls this for every 3-D view."""
     context = bpy.context
-    space, region_data = context.space_data, context.region_data
-    if not space.overlay.show_overlays or not settings(context).overlay or not _paths:
+    space, scene = context.space_data, context.scene
+    if not OVERLAY.paths or not space.overlay.show_overlays or not settings(context).overlay:
         return
-    active = active_stroke(context)
-    frame = float(context.scene.frame_current_final)
-    view = overlay_gpu.View(region_data, context.region)
-    for name, path in _paths.items():
-        obj = context.scene.objects.get(name)
-        if obj is None:
+    import numpy as np
+
+    from . import overlay_gpu
+
+    OVERLAY.has_batches = True
+    shown = []
+    for name, path in OVERLAY.paths.items():
+        if name not in bpy.data.objects:
             _everything()  # renamed or deleted
             continue
-        if path is None or not obj.visible_get(viewport=space):
-            continue
-        overlay_gpu.draw_path(name, path, obj.matrix_world, view, active=obj == active, faint=obj.hnf_stroke.mute)
-    for name, path in _paths.items():
-        obj = context.scene.objects.get(name)
-        if obj is None or path is None or obj.hnf_stroke.mute or not obj.visible_get(viewport=space):
-            continue
+        obj = scene.objects.get(name)
+        if obj is not None and path is not None and obj.visible_get(viewport=space):
+            shown.append((obj, path))
+    active = active_stroke(context)
+    view = overlay_gpu.View(context.region_data, context.region)
+    for obj, path in shown:
+        faint = bool(obj.hnf_stroke.mute)
+        overlay_gpu.draw_path(obj.name, path, obj.matrix_world, view, active=obj == active, faint=faint)
+    frame = float(scene.frame_current_final)
+    for obj, path in shown:
         world = np.array(obj.matrix_world)
         if obj == active:
             overlay_gpu.draw_start(world[:3, :3] @ path.points[0] + world[:3, 3], view)
-        if path.frames[0] <= frame <= path.frames[-1]:
+        if path.frames[0] <= frame <= path.frames[-1] and not obj.hnf_stroke.mute:
             place = [np.interp(frame, path.frames, path.places[:, axis]) for axis in range(3)]
             force = float(np.interp(frame, path.frames, path.forces))
             overlay_gpu.draw_contact(world[:3, :3] @ place + world[:3, 3], force, view, active=obj == active)

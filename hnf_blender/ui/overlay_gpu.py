@@ -20,7 +20,7 @@ HALO: Colour = (0.02, 0.02, 0.03, 0.75)
 WHITE: Colour = (1.0, 1.0, 1.0, 1.0)
 NEARER = 4e-3
 """By this share of its distance a line is drawn nearer than it is, so that it does not sink into the surface."""
-BEHIND_ALPHA = 0.18
+BEHIND_ALPHA = 0.35
 FAINT_ALPHA = 0.3
 START_PX, CONTACT_PX, ACTIVE_CONTACT_PX = 5.0, 6.0, 8.0
 

@@ -18,10 +18,10 @@ Float32 = NDArray[np.float32]
 
 STEP_M = 1e-3
 MOST_POINTS = 1500
-TICKS_M = 6e-3
+TICKS_M = 8e-3
 """A direction tick every so many metres of path, but FEWEST to MOST_TICKS of them."""
-FEWEST_TICKS, MOST_TICKS = 2, 14
-TICK_SHARE = 0.02
+FEWEST_TICKS, MOST_TICKS = 2, 10
+TICK_SHARE = 0.028
 """A tick's arms as a share of the curve's length, within TICK_SIZE_M."""
 TICK_SIZE_M = (0.6e-3, 4e-3)
 
@@ -79,11 +79,14 @@ def _ticks(arc: ArcCurve, position: Float, obj: Any, depsgraph: Any, metres_per_
     share = (np.arange(count) + 0.5) / count
     index = np.clip(np.searchsorted(way, share * way[-1]), 1, len(way) - 1)
     tip = arc.point_at(position[index])
-    ahead = arc.tangent_at(position[index]) * np.sign(position[index] - position[index - 1])[:, None]
+    size = float(np.clip(TICK_SHARE * arc.length, *TICK_SIZE_M))
+    # Over as long a way as the arms: a tremble of the hand does not turn them.
+    ahead = arc.point_at(position[index] + size) - arc.point_at(position[index] - size)
+    ahead *= np.sign(position[index] - position[index - 1])[:, None]
+    ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
     normal = _normals(tip, ahead, obj, depsgraph, metres_per_unit)
     aside = np.cross(normal, ahead)
     aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-12)
-    size = float(np.clip(TICK_SHARE * arc.length, *TICK_SIZE_M))
     ends = [tip - size * (ahead + side * aside) for side in (-1.0, 1.0)]
     return np.asarray(np.stack([ends[0], tip, tip, ends[1]], axis=1).reshape(-1, 3))
 

@@ -14,6 +14,8 @@ Float = NDArray[np.float64]
 Int = NDArray[np.intp]
 
 _REPARAMETRISED = 4
+_HOPELESS = 8.0
+"""A piece this many tolerances off is split at once: other parameters never make up for that much."""
 _LONGEST_HANDLE = 1.5
 """A handle longer than this share of its piece's way is a bad least-squares solution, not a shape."""
 _BETWEEN = np.array([0.25, 0.5, 0.75])
@@ -72,6 +74,8 @@ def _piece(path: Float, station: Float, first: int, last: int, tolerance: float)
         error = _distance(control, points, u)
         if error.max() <= tolerance:
             return control, -1
+        if error.max() > _HOPELESS * tolerance:
+            break
         u = _nearer(control, points, u)
     return control, first + int(np.clip(np.argmax(error), 1, last - first - 1))
 

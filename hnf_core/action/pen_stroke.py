@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..errors import StrokeError
 from .action import ACTION_RATE_HZ
 from .bezier import bezier_curve
-from .curves import by_arc_length
+from .curves import ArcCurve, by_arc_length
 from .fit_bezier import FittedBezier, fit_bezier
 from .fit_keys import fit_keys
 from .keys import Keys
@@ -93,7 +93,7 @@ def pen_stroke(
         )
     path = fit_bezier(point[moved], PATH_TOLERANCE_M)
     curve = by_arc_length(bezier_curve(path.knot, path.left, path.right))
-    place = _along(point, moved, path, np.cumsum(_piece_lengths(path)) / curve.length)
+    place = _along(point, moved, path, curve)
     lifted = not bool(touching.all())
     if style.speed_m_s is None:
         progress = fit_keys(time, place, PROGRESS_TOLERANCE_M / curve.length, rising=True)
@@ -188,18 +188,11 @@ def _landing(touching: Bool) -> Float:
     return np.asarray(share * share * (3.0 - 2.0 * share))
 
 
-def _piece_lengths(path: FittedBezier) -> Float:
-    return np.array(
-        [
-            by_arc_length(bezier_curve(path.knot[k : k + 2], path.left[k : k + 2], path.right[k : k + 2])).length
-            for k in range(len(path.knot) - 1)
-        ]
-    )
-
-
-def _along(point: Float, moved: Bool, path: FittedBezier, ends: Float) -> Float:
+def _along(point: Float, moved: Bool, path: FittedBezier, curve: ArcCurve) -> Float:
     """Share of the fitted length at each sample (n,): inside a piece, as the drawn way goes."""
     station = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(point, axis=0), axis=1))])
     knots = np.flatnonzero(moved)[path.index]
-    share = np.interp(station, station[knots], np.concatenate([[0.0], ends / ends[-1]]))
+    pieces = np.arange(curve.curve.segment_count)
+    ends = curve.station[np.searchsorted(curve.segment, pieces, side="right")]
+    share = np.interp(station, station[knots], np.concatenate([[0.0], ends / curve.length]))
     return np.maximum.accumulate(share)
