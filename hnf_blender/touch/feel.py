@@ -33,6 +33,8 @@ from .store import PatchRecord
 
 USUAL_HEIGHT_M = (0.5e-6, 2e-3)
 """Peak-to-peak heights outside this are most likely an artist's slip, or a bump made for looks."""
+FACTS = ("object", "material", "library_material", "routes", "height_source")
+"""What signal_facts tells, in the order in which every file tells it."""
 MECHANICAL_PROPERTIES = 3
 """Stiffness, damping, friction."""
 
@@ -261,7 +263,8 @@ def signal_facts(baked: BakedStroke) -> dict[str, str]:
 
 def delivered(signal: Signal, name: str, facts: Mapping[str, str], confidence: float) -> Signal:
     """The signal with its origin written on it, as every WAV of a stroke has it. facts: of signal_facts."""
-    origin = {**signal.provenance, "stroke": name, **facts, "confidence": f"{confidence:.3f}"}
+    told = {fact: facts[fact] for fact in FACTS if fact in facts}
+    origin = {**signal.provenance, "stroke": name, **told, "confidence": f"{confidence:.3f}"}
     return replace(signal, provenance=origin)
 
 

@@ -1,0 +1,282 @@
+"""From a stored bake to a signal that is heard: the bytes of `hnf touch`, or nothing."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import io
+import shutil
+import time
+
+import bpy
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from job_scene import small_scene
+from touch_scene import save_scene, set_keys
+
+from hnf_blender.preview import current, preview_facts, preview_icon
+from hnf_blender.preview.facts import PREVIEW
+from hnf_blender.preview.hearing import Kept, Listener, hear
+from hnf_blender.preview.pictures import Look
+from hnf_blender.preview.present import present
+from hnf_blender.preview.stroke_bake import BAKE_PROPERTY, SCHEMA, StrokeBake, load_bake, remove_bake, store_bake
+from hnf_core.errors import FileError, StrokeError
+
+
+@pytest.fixture
+def stroke(warm_bake):
+    """A baked stroke, in a scene that nothing was heard of yet."""
+    PREVIEW.clear()
+    current.PLAYER.release()
+    small_scene()
+    assert bpy.ops.hnf.bake() == {"FINISHED"}
+    yield bpy.data.objects["Along"]
+    current.PLAYER.release()
+    PREVIEW.clear()
+
+
+def now(obj):
+    return present(obj, bpy.context.scene)
+
+
+def samples_of(obj) -> bytes:
+    return hear(now(obj), Look(), Kept()).signal.samples.tobytes()
+
+
+def export(tmp_path, **words) -> dict[str, bytes]:
+    folder = tmp_path / "exported"
+    shutil.rmtree(folder, ignore_errors=True)
+    bpy.context.scene.hnf.export_folder = str(folder)
+    assert bpy.ops.hnf.export_wav(**words) == {"FINISHED"}
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_saved_and_loaded_it_sounds_the_same(stroke, tmp_path) -> None:
+    stored, heard = bytes(stroke[BAKE_PROPERTY]), samples_of(stroke)
+    path = save_scene(tmp_path / "scene.blend")
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    again = bpy.data.objects["Along"]
+    assert bytes(again[BAKE_PROPERTY]) == stored
+    assert samples_of(again) == heard
+
+
+def test_undo_gives_back_what_was_heard(stroke) -> None:
+    bpy.ops.ed.undo_push(message="before")
+    heard = samples_of(stroke)
+    set_keys(stroke, "force", (3.0, 2.7))
+    bpy.ops.ed.undo_push(message="pressed harder")
+    assert samples_of(bpy.data.objects["Along"]) != heard
+    bpy.ops.ed.undo()
+    assert samples_of(bpy.data.objects["Along"]) == heard
+
+
+def test_a_stroke_takes_little_room(stroke) -> None:
+    assert len(stroke[BAKE_PROPERTY]) < 20_000  # 0.26 s
+
+
+def test_pressing_where_nothing_was_baked_is_stale(stroke, tmp_path) -> None:
+    bake = load_bake(stroke)
+    assert bake is not None
+    lifted = bake.stroke.action.force.copy()
+    lifted[20:30] = 0.0
+    up = bake.with_force(lifted)
+    assert not up.stroke.action.contact[20:30].any()
+    with pytest.raises(StrokeError, match=r"presses where the bake had no contact \(0.10 s"):
+        up.with_force(bake.stroke.action.force)
+
+
+@pytest.mark.parametrize("all_of_them", [False, True])
+def test_a_stale_stroke_is_refused_by_name(stroke, tmp_path, all_of_them) -> None:
+    stroke.location.x += 0.004
+    bpy.context.view_layer.update()
+    bpy.context.scene.hnf.export_folder = str(tmp_path / "exported")
+    with pytest.raises(RuntimeError, match=r"'Along'.*bake"):
+        bpy.ops.hnf.export_wav(all=all_of_them)
+    assert not (tmp_path / "exported").exists()
+    with pytest.raises(RuntimeError, match=r"[Bb]ake"):
+        bpy.ops.hnf.preview_play()
+
+
+def test_one_stale_stroke_does_not_keep_the_others(stroke, tmp_path) -> None:
+    other = stroke.copy()
+    other.name = "Elsewhere"
+    other.location.y += 0.01
+    bpy.context.scene.collection.objects.link(other)
+    bpy.context.view_layer.update()
+    assert len(export(tmp_path, all=True)) == 1
+
+
+def test_a_folder_beside_an_unsaved_file_is_refused_with_a_remedy(stroke) -> None:
+    bpy.context.scene.hnf.export_folder = "//touch"
+    with pytest.raises(RuntimeError, match=r"not saved yet.*Save the file"):
+        bpy.ops.hnf.export_wav()
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_damaged_bytes_are_said_to_be_damaged(whole, data) -> None:
+    """Cut anywhere, or with a byte changed: a FileError with a remedy, or, where it did not matter, the same stroke."""
+    if data.draw(st.booleans()):
+        broken = whole[: data.draw(st.integers(0, len(whole) - 1))]
+    else:
+        at, flip = data.draw(st.integers(0, len(whole) - 1)), data.draw(st.integers(1, 255))
+        broken = whole[:at] + bytes([whole[at] ^ flip]) + whole[at + 1 :]
+    found = None
+    with contextlib.suppress(FileError):
+        found = StrokeBake.from_bytes(broken, where="stroke 'X'")
+    if found is None:
+        with pytest.raises(FileError, match=r"stroke 'X'.*Bake the stroke again"):
+            StrokeBake.from_bytes(broken, where="stroke 'X'")
+    else:
+        assert found.to_bytes() == whole
+
+
+@pytest.fixture(scope="module")
+def whole(rendered_plate) -> bytes:
+    from hnf_blender.jobs import running
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(running, "cache_folder", lambda: rendered_plate)
+        small_scene()
+        running.bake_in_line(bpy.context.scene, bpy.context.view_layer)
+    return bytes(bpy.data.objects["Along"][BAKE_PROPERTY])
+
+
+def test_a_bake_comes_back_as_it_was(whole) -> None:
+    bake = StrokeBake.from_bytes(whole)
+    assert bake.to_bytes() == whole
+    speed = np.random.default_rng(1).random(len(bake.stroke.action.speed))  # float32 does not hold these
+    action = dataclasses.replace(bake.stroke.action, speed=speed)
+    stored = dataclasses.replace(bake, stroke=dataclasses.replace(bake.stroke, action=action)).to_bytes()
+    assert np.array_equal(StrokeBake.from_bytes(stored).stroke.action.speed, speed)
+    assert len(stored) > len(whole)
+
+
+def test_another_version_is_named() -> None:
+    packed = io.BytesIO()
+    np.savez_compressed(packed, schema=np.array(SCHEMA + 1))
+    with pytest.raises(FileError, match=rf"format {SCHEMA + 1}, this add-on reads {SCHEMA}"):
+        StrokeBake.from_bytes(packed.getvalue())
+
+
+def test_storing_and_removing() -> None:
+    curve = bpy.data.objects.new("C", bpy.data.curves.new("C", "CURVE"))
+    assert load_bake(curve) is None
+    remove_bake(curve)
+    curve[BAKE_PROPERTY] = "text"
+    with pytest.raises(FileError, match=r"'C'.*not a bake"):
+        load_bake(curve)
+
+
+def test_a_changed_key_is_heard_in_part_and_equals_the_whole(stroke) -> None:
+    kept = Kept()
+    first = hear(now(stroke), Look(), kept)
+    set_keys(stroke, "force", (6.0, 0.3))
+    second = hear(now(stroke), Look(), kept)
+    assert second.signal.samples.tobytes() == samples_of(stroke)
+    assert second.signal.samples.tobytes() != first.signal.samples.tobytes()
+    assert second.stamp != first.stamp
+
+
+def test_beside_the_window_it_is_heard_the_same_and_the_newest_wins(stroke) -> None:
+    listener = Listener()
+    try:
+        for force in (0.4, 0.6, 0.8):
+            set_keys(stroke, "force", (3.0, force))
+            listener.ask(now(stroke), Look())
+        found, until = {}, time.monotonic() + 60.0
+        while (listener.is_busy or not found) and time.monotonic() < until:
+            time.sleep(0.01)
+            found |= listener.take()
+        found |= listener.take()
+    finally:
+        listener.end()
+    assert found["Along"].stamp == now(stroke).stamp
+    assert found["Along"].signal.samples.tobytes() == samples_of(stroke)
+
+
+def test_playing_without_a_device_says_so(stroke) -> None:
+    """Here there is none (or no `aud` at all): a message, no error; the signal was made all the same."""
+    assert bpy.ops.hnf.preview_play() in ({"CANCELLED"}, {"FINISHED"})
+    assert PREVIEW.heard["Along"].signal.rms > 0.0
+    assert bpy.ops.hnf.preview_stop() == {"FINISHED"}
+
+
+def test_facts_are_there_to_be_shown(stroke) -> None:
+    assert preview_facts(stroke) is None
+    assert preview_icon(stroke) == 0
+    heard = current.refresh(stroke, bpy.context, wait=True)
+    facts = current.tell("Along", bpy.context.scene)
+    assert preview_facts(stroke) is facts
+    assert facts.duration_s == pytest.approx(heard.signal.duration_s)
+    assert facts.peak_m_s2 == pytest.approx(float(np.abs(heard.signal.samples).max()))
+    assert facts.problem == ""
+    assert not facts.busy
+    assert "m/s²" in facts.lines[0]
+    bpy.context.scene.hnf.monitor_gain_db = 60.0
+    assert any("clips by" in line for line in current.tell("Along", bpy.context.scene).lines)
+    bpy.context.scene.hnf.actuator = "lofelt-l5"  # nothing is known of its largest
+    assert current.tell("Along", bpy.context.scene).headroom_db is None
+
+
+def test_a_and_now_are_compared_at_their_own_level(stroke) -> None:
+    assert bpy.ops.hnf.preview_ab(action="SWITCH") == {"CANCELLED"}
+    assert bpy.ops.hnf.preview_ab(action="KEEP") == {"FINISHED"}
+    kept = PREVIEW.heard["Along"]
+    set_keys(stroke, "force", (3.0, 3.0))
+    new = current.refresh(stroke, bpy.context, wait=True)
+    assert PREVIEW.shown("Along") is new
+    assert new.signal.rms > kept.signal.rms
+    bpy.ops.hnf.preview_ab(action="SWITCH")
+    assert PREVIEW.shown("Along") is kept
+    assert preview_facts(stroke).shows == "A"
+    assert preview_facts(stroke).rms_m_s2 == pytest.approx(kept.signal.rms)
+    bpy.ops.hnf.preview_ab(action="FORGET")
+    assert PREVIEW.shown("Along") is new
+
+
+def test_the_sequencer_gets_one_strip_at_the_start(stroke, tmp_path) -> None:
+    from hnf_blender.compat import sequencer_strips
+
+    scene = bpy.context.scene
+    scene.hnf.export_folder = str(tmp_path / "exported")
+    for _ in range(2):
+        assert bpy.ops.hnf.add_to_sequencer() == {"FINISHED"}
+        (strip,) = sequencer_strips(scene.sequence_editor)
+        assert (strip.name, strip.type, strip.frame_start) == ("Along", "SOUND", 1)
+        assert strip.volume == pytest.approx(0.1)
+    assert strip.frame_final_duration == pytest.approx(0.26 * 24, abs=4)
+
+
+def test_a_speaker_stands_where_the_stroke_begins(stroke) -> None:
+    surface = bpy.data.objects["Plate"]
+    for _ in range(2):
+        bpy.context.view_layer.objects.active = stroke
+        assert bpy.ops.hnf.add_speaker() == {"FINISHED"}
+        (speaker,) = [obj for obj in bpy.context.scene.objects if obj.type == "SPEAKER"]
+    bpy.context.view_layer.update()
+    assert tuple(speaker.matrix_world.translation) == pytest.approx((-0.013, 0.0, 0.0), abs=1e-5)
+    assert speaker.parent == surface
+    assert speaker.data.sound.packed_file is not None
+    assert speaker.animation_data.nla_tracks[0].strips[0].frame_start == 1.0
+
+
+def test_a_stroke_that_is_not_baked_says_so(operators, tmp_path) -> None:
+    small_scene()
+    bpy.context.scene.hnf.export_folder = str(tmp_path)
+    for button in (bpy.ops.hnf.preview_play, bpy.ops.hnf.add_to_sequencer, bpy.ops.hnf.add_speaker):
+        with pytest.raises(RuntimeError, match="Not baked yet"):
+            button()
+    with pytest.raises(RuntimeError, match=r"'Along'.*[Bb]ake"):
+        bpy.ops.hnf.export_wav()
+
+
+def test_store_bake_is_what_load_bake_reads(whole) -> None:
+    curve = bpy.data.objects.new("C", bpy.data.curves.new("C", "CURVE"))
+    bake = StrokeBake.from_bytes(whole)
+    store_bake(curve, bake)
+    assert load_bake(curve).to_bytes() == whole

@@ -1,0 +1,47 @@
+"""What leaves the preview is what the command line makes of the same scene, byte for byte."""
+
+from __future__ import annotations
+
+import shutil
+
+import bpy
+from job_scene import small_scene
+from touch_scene import save_scene, set_keys, touch
+
+from hnf_blender.preview.facts import PREVIEW
+from hnf_blender.state.session import STATE, Freshness
+from hnf_blender.state.watch import refresh_status
+
+
+def exported(tmp_path) -> dict[str, bytes]:
+    folder = tmp_path / "exported"
+    shutil.rmtree(folder, ignore_errors=True)
+    bpy.context.scene.hnf.export_folder = str(folder)
+    assert bpy.ops.hnf.export_wav() == {"FINISHED"}
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def touched(tmp_path, warm_bake, name: str) -> dict[str, bytes]:
+    out = tmp_path / name
+    shutil.copytree(warm_bake, out / "cache")
+    code, _ = touch(save_scene(tmp_path / f"{name}.blend"), out)
+    assert code == 0
+    return {path.name: path.read_bytes() for path in out.glob("*.wav")}
+
+
+def test_the_exported_wav_is_that_of_the_command_line(warm_bake, tmp_path) -> None:
+    """As baked; and, without another bake, after force, probe and seed changed."""
+    PREVIEW.clear()
+    small_scene()
+    assert bpy.ops.hnf.bake() == {"FINISHED"}
+    first = exported(tmp_path)
+    assert first == touched(tmp_path, warm_bake, "first")
+    stroke = bpy.data.objects["Along"]  # the file was opened anew
+    set_keys(stroke, "force", (3.0, 2.7))
+    stroke.hnf_stroke.seed, stroke.hnf_stroke.probe = 11, "finger"
+    refresh_status(bpy.context.scene)
+    assert STATE.strokes["Along"].freshness is Freshness.FORCE
+    second = exported(tmp_path)
+    assert second.keys() == first.keys()
+    assert second != first
+    assert second == touched(tmp_path, warm_bake, "second")
