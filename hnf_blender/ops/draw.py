@@ -205,11 +205,6 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
         from hnf_core.action.contacts import CONTACT_TOLERANCE_M
         from hnf_core.action.pen_stroke import PenSamples, PenStyle
 
-        import numpy as np
-
-        from hnf_core.action.contacts import CONTACT_TOLERANCE_M
-        from hnf_core.action.pen_stroke import PenSamples, PenStyle
-
         from ..bridge.drawn_stroke import new_drawn_stroke, touching_surface
 
         scene, depsgraph, metres = context.scene, context.evaluated_depsgraph_get(), metres_of(context.scene)
