@@ -20,8 +20,9 @@ from .messages import Broken, Message, decode
 
 WORKER = Path(__file__).with_name("worker.py")
 LAST_LINES = 12
-DEATH_S = 0.3
-"""How long a killed process may take to be gone; the folder is removed then at any rate."""
+DEATH_S = 0.15
+"""How long is waited for a killed process to be gone. One that is busy starting may take longer; it can write nothing
+any more, and the system clears it away."""
 
 
 class Child:
@@ -74,27 +75,24 @@ class Child:
 
     def kill(self) -> None:
         """End it and all that it started, now."""
-        with contextlib.suppress(OSError):
-            if sys.platform == "win32":
-                subprocess.run(["taskkill", "/F", "/T", "/PID", str(self.pid)], capture_output=True, timeout=5)
-            else:
-                os.killpg(self.pid, signal.SIGKILL)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(DEATH_S)
-        self._close()
-
-    def _close(self) -> None:
-        self._reader.join(DEATH_S)
-        for stream in (self._process.stdin, self._process.stdout):
-            if stream is not None:
-                with contextlib.suppress(OSError):
-                    stream.close()
+        if self._process.poll() is None:
+            with contextlib.suppress(OSError):
+                if sys.platform == "win32":
+                    subprocess.run(["taskkill", "/F", "/T", "/PID", str(self.pid)], capture_output=True, timeout=5)
+                else:
+                    os.killpg(self.pid, signal.SIGKILL)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(DEATH_S)
+        if self._process.stdin is not None:
+            with contextlib.suppress(OSError):
+                self._process.stdin.close()
 
     def _read(self) -> None:
+        """The thread: until the stream ends, which is the process's end. It alone may close what it reads."""
         stream = self._process.stdout
         if stream is None:
             return
-        with contextlib.suppress(OSError, ValueError):
+        with contextlib.suppress(OSError, ValueError), stream:
             for raw in stream:
                 line = raw.decode("utf-8", "replace").strip()
                 try:

@@ -191,6 +191,7 @@ def _by_uid(scene: Any) -> dict[int, Any]:
 
 
 def _write(ready: _Ready, scene: Any) -> Committed:
+    STATE.plan = None  # it spoke of before
     objects = _by_uid(scene)
     done = Committed(refused=ready.refused)
     for uid, bake, inputs in ready.strokes:

@@ -37,6 +37,7 @@ def purge(scene: Any, view_layer: Any, *, everything: bool) -> Freed:
 
     session = None if everything else scene_session(scene, view_layer, Path())
     freed, left = 0, []
+    STATE.plan = None  # it spoke of before
     with own_changes(view_layer):
         for obj in bpy.data.objects:
             if obj.library is None and stored_bytes(obj) and (session is None or _is_outgrown(session, obj)):

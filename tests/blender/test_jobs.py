@@ -45,7 +45,7 @@ def test_what_is_fresh_is_not_baked_again(warm_bake) -> None:
     before = kept()
     again = bake()
     assert (again.ok, again.written) == (True, 0)
-    assert "1 fresh already" in again.message
+    assert again.message == "Nothing to bake: 1 stroke fresh already."
     assert kept() == before
 
 
