@@ -80,16 +80,23 @@ def add_strip(obj: Any, context: Any) -> Any:
 
     path, scene = write_wav_of(obj, context), context.scene
     editor = scene.sequence_editor or scene.sequence_editor_create()
-    strips, channel = sequencer_strips(editor), 0
-    for strip in list(strips):
-        if strip.get(STROKE_PROPERTY) == obj.name:
-            channel = strip.channel
-            strips.remove(strip)
-    frame = round(float(obj.hnf_stroke.start))
-    if not channel:
-        channel = max((int(strip.channel) for strip in strips), default=0) + 1
+    strips = sequencer_strips(editor)
+    earlier = [strip for strip in strips if strip.get(STROKE_PROPERTY) == obj.name]
+    above = max((int(strip.channel) for strip in strips), default=0) + 1
     sound_path = bpy.path.relpath(str(path)) if scene.hnf.export_folder.startswith("//") else str(path)
-    strip = strips.new_sound(name=obj.name, filepath=sound_path, channel=channel, frame_start=frame)
+    frame = round(float(obj.hnf_stroke.start))
+    try:
+        strip = strips.new_sound(name=obj.name, filepath=sound_path, channel=above, frame_start=frame)
+    except RuntimeError as error:
+        raise SceneError(
+            f"Blender made no sound strip ({str(error).strip()}).",
+            where=f"stroke '{obj.name}'",
+            remedy=f"Its WAV is written: {path}.",
+        ) from error
+    channel = next((int(each.channel) for each in earlier), above)
+    for each in earlier:
+        strips.remove(each)
+    strip.channel, strip.name = channel, obj.name
     strip[STROKE_PROPERTY] = obj.name
     strip.volume = monitor_factor(scene.hnf.monitor_gain_db)
     return strip

@@ -17,12 +17,13 @@ from job_scene import small_scene
 from touch_scene import save_scene, set_keys
 
 from hnf_blender.preview import current, preview_facts, preview_icon
+from hnf_blender.preview.device import audio
 from hnf_blender.preview.facts import PREVIEW
 from hnf_blender.preview.hearing import Kept, Listener, hear
 from hnf_blender.preview.pictures import Look
 from hnf_blender.preview.present import present
 from hnf_blender.preview.stroke_bake import BAKE_PROPERTY, SCHEMA, StrokeBake, load_bake, remove_bake, store_bake
-from hnf_core.errors import FileError, StrokeError
+from hnf_core.errors import FileError, SceneError, StrokeError
 
 
 @pytest.fixture
@@ -35,6 +36,14 @@ def stroke(warm_bake):
     yield bpy.data.objects["Along"]
     current.PLAYER.release()
     PREVIEW.clear()
+
+
+def has_sound() -> bool:
+    try:
+        audio()
+    except SceneError:
+        return False
+    return True
 
 
 def now(obj):
@@ -239,6 +248,7 @@ def test_a_and_now_are_compared_at_their_own_level(stroke) -> None:
     assert PREVIEW.shown("Along") is new
 
 
+@pytest.mark.skipif(not has_sound(), reason="this Blender is built without sound")
 def test_the_sequencer_gets_one_strip_at_the_start(stroke, tmp_path) -> None:
     from hnf_blender.compat import sequencer_strips
 
@@ -250,6 +260,14 @@ def test_the_sequencer_gets_one_strip_at_the_start(stroke, tmp_path) -> None:
         assert (strip.name, strip.type, strip.frame_start) == ("Along", "SOUND", 1)
         assert strip.volume == pytest.approx(0.1)
     assert strip.frame_final_duration == pytest.approx(0.26 * 24, abs=4)
+
+
+@pytest.mark.skipif(has_sound(), reason="this Blender has sound")
+def test_without_sound_the_sequencer_gets_nothing_and_the_wav_is_named(stroke, tmp_path) -> None:
+    bpy.context.scene.hnf.export_folder = str(tmp_path)
+    with pytest.raises(RuntimeError, match=r"'Along'.*no sound strip.*along.wav"):
+        bpy.ops.hnf.add_to_sequencer()
+    assert (tmp_path / "along.wav").is_file()
 
 
 def test_a_speaker_stands_where_the_stroke_begins(stroke) -> None:
