@@ -114,9 +114,9 @@ class HNF_OT_preview_ab(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
         stroke = active_stroke(context)
         name = stroke.name
         if self.action == "KEEP":
-            heard = current.refresh(stroke, context, wait=True)
+            heard = current.refresh(stroke, context, wait=bpy.app.background)
             if heard is None:
-                self.report({"WARNING"}, PREVIEW.problems.get(name, NOT_BAKED))
+                self.report({"WARNING"}, PREVIEW.problems.get(name, "The signal is being made: try again in a moment"))
                 return {"CANCELLED"}
             PREVIEW.kept[name] = heard
         elif name not in PREVIEW.kept:
