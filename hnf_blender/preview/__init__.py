@@ -50,6 +50,8 @@ def tick() -> float:
 
 def _look(context: Any, timeline_plays: bool) -> None:
     global _seen
+    import bpy
+
     from ..props.scene import active_stroke, strokes_of
     from ..state.redraw import redraw_tab
     from ..state.session import STATE
@@ -68,6 +70,7 @@ def _look(context: Any, timeline_plays: bool) -> None:
     if seen != _seen:
         _seen = seen
         others = strokes_of(scene) if settings.follow_timeline else []
+        PREVIEW.keep_only({obj.name for obj in bpy.data.objects})
         _waiting.clear()
         _waiting.extend(obj.name for obj in others if obj != active)
         if active is not None:

@@ -51,6 +51,13 @@ class PreviewState:
         """What is heard and seen of a stroke: A, or the newest."""
         return self.kept.get(name) if name in self.on_kept else self.heard.get(name)
 
+    def keep_only(self, names: set[str]) -> None:
+        """Forget strokes that are no more, or are called otherwise now."""
+        self.on_kept &= names
+        for each in (self.heard, self.kept, self.asked, self.problems, self.facts, self.icons):
+            for name in each.keys() - names:
+                del each[name]
+
     def clear(self) -> None:
         """Another file is open."""
         for each in (self.heard, self.kept, self.on_kept, self.asked, self.problems, self.facts, self.icons):

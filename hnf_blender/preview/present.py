@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections import OrderedDict
 from dataclasses import dataclass, replace
 from typing import Any
 
+import bpy
 import numpy as np
 
 from hnf_core.action.time_law import checked_force
@@ -15,6 +17,7 @@ from hnf_core.units import seconds_to_frame
 
 from ..bridge.channels import read_channel, sample_channels
 from ..props.stroke import FORCE_MAX_N
+from ..state.guard import own_changes
 from .stroke_bake import BAKE_PROPERTY, StrokeBake
 
 KEPT = 16
@@ -45,7 +48,10 @@ def present(obj: Any, scene: Any) -> Present | None:
     action = baked.stroke.action
     fps, base, start = float(scene.render.fps), float(scene.render.fps_base), float(group.start)
     frames = np.array([seconds_to_frame(float(t), start, fps, base) for t in action.time])
-    (keyed,) = sample_channels(obj, scene, (read_channel(obj, "force", scene),), frames)
+    channel = read_channel(obj, "force", scene)
+    # Drivers are evaluated in a scene made for it: that is no change of the artist's.
+    with own_changes(bpy.context.view_layer) if channel.source == "driven" else contextlib.nullcontext():
+        (keyed,) = sample_channels(obj, scene, (channel,), frames)
     force = checked_force(keyed, frames, where=where, most=FORCE_MAX_N)
     try:
         now = replace(baked.with_force(force, str(group.probe)), seed=int(group.seed))

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from job_scene import small_scene
 from touch_scene import save_scene, set_keys
 
+from hnf_blender import preview
 from hnf_blender.preview import current, preview_facts, preview_icon
 from hnf_blender.preview.device import audio
 from hnf_blender.preview.facts import PREVIEW
@@ -23,6 +24,8 @@ from hnf_blender.preview.hearing import Kept, Listener, hear
 from hnf_blender.preview.pictures import Look
 from hnf_blender.preview.present import present
 from hnf_blender.preview.stroke_bake import BAKE_PROPERTY, SCHEMA, StrokeBake, load_bake, remove_bake, store_bake
+from hnf_blender.preview.timeline import Follower, placed_strokes
+from hnf_blender.state.watch import refresh_status
 from hnf_core.errors import FileError, SceneError, StrokeError
 
 
@@ -298,3 +301,42 @@ def test_store_bake_is_what_load_bake_reads(whole) -> None:
     bake = StrokeBake.from_bytes(whole)
     store_bake(curve, bake)
     assert load_bake(curve).to_bytes() == whole
+
+
+def test_on_the_timeline_sounds_what_is_true_and_not_muted(stroke) -> None:
+    scene = bpy.context.scene
+    assert placed_strokes(scene) == []
+    heard = current.refresh(stroke, bpy.context, wait=True)
+    (placed,) = placed_strokes(scene)
+    assert (placed.start, placed.rate) == (1.0, 10_000.0)
+    assert placed.samples is heard.signal.samples
+    stroke.hnf_stroke.mute = True
+    assert placed_strokes(scene) == []
+    stroke.hnf_stroke.mute = False
+    stroke.location.x += 0.004
+    bpy.context.view_layer.update()
+    refresh_status(scene)
+    assert placed_strokes(scene) == []
+    assert "ake" in current.tell("Along", scene).problem
+
+
+def test_the_timeline_plays_on_without_a_sound_device(stroke) -> None:
+    current.refresh(stroke, bpy.context, wait=True)
+    follower = Follower()
+    follower.start(bpy.context.scene)
+    assert follower.begun_at == float(bpy.context.scene.frame_current)
+    follower.follow(bpy.context.scene)
+    follower.stop()
+    assert follower.begun_at is None
+    bpy.context.scene.hnf.follow_timeline = False
+    follower.start(bpy.context.scene)
+    assert follower.begun_at is None
+
+
+def test_the_room_is_left_as_it_was_found() -> None:
+    """No handler and no timer without a window; nothing stays behind."""
+    before = [len(getattr(bpy.app.handlers, name)) for name, _ in preview.HANDLERS]
+    preview.register()
+    preview.unregister()
+    assert [len(getattr(bpy.app.handlers, name)) for name, _ in preview.HANDLERS] == before
+    assert not bpy.app.timers.is_registered(preview.tick)
