@@ -21,6 +21,8 @@ class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa:
         if not strokes_of(scene):
             hint(layout, context, tr("Draw and bake a stroke first; then it can be written as a WAV file in m/s²"))
         layout.prop(scene.hnf, "export_folder", text="")
+        if not bpy.data.filepath and scene.hnf.export_folder.startswith("//"):
+            hint(layout, context, tr("Save the .blend first, or choose a folder: // means the folder of the .blend"))
         row = side_by_side(layout, context)
         row.operator("hnf.export_wav", text="This Stroke", icon="FILE_SOUND").all = False
         row.operator("hnf.export_wav", text="All", icon="EXPORT").all = True

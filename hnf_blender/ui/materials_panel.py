@@ -13,7 +13,7 @@ from ..translations import tr
 from .layout import TouchPanel, hint, named, paragraph, side_by_side
 from .texts import reason_text, routes_lines, sure_text
 
-MOST_SUGGESTIONS = 4
+MOST_SUGGESTIONS, MOST_BAKES = 4, 5
 
 
 def felt_text(material: Any) -> tuple[str, str]:
@@ -114,13 +114,17 @@ class HNF_PT_as_baked(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noq
 
     def draw(self, context: Any) -> None:
         obj = felt_object(context)
-        for name, status in bakes_on(obj.name):
+        bakes = bakes_on(obj.name)
+        for name, status in bakes[:MOST_BAKES]:
             column = self.layout.column(align=True)
             column.label(text=named(context, name), icon="CURVE_DATA", translate=False)
             felt = f"{spoken(status.library_material)}, {sure_text(status.confidence)}"
             paragraph(column, context, felt, icon="BLANK1")
             for line in routes_lines(status.routes):
                 paragraph(column, context, line, icon="BLANK1")
+        if len(bakes) > MOST_BAKES:
+            more = tr("and {count} more").format(count=len(bakes) - MOST_BAKES)
+            self.layout.label(text=more, icon="BLANK1", translate=False)
 
 
 CLASSES = (HNF_UL_slots, HNF_PT_materials, HNF_PT_as_baked)

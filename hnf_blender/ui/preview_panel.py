@@ -83,7 +83,7 @@ class HNF_PT_monitor(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa
         layout, settings = self.layout, context.scene.hnf
         layout.use_property_split = True
         layout.use_property_decorate = False
-        layout.prop(settings, "monitor_gain_db", text="Monitor gain (dB)")
+        layout.prop(settings, "monitor_gain_db", text="Gain (dB)")
         paragraph(layout, context, tr("Headphones only: the signal and its files stay in m/s²"), icon="INFO")
         layout.prop(settings, "follow_timeline")
 
