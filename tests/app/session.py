@@ -47,7 +47,9 @@ class App:
 
     def run(self, *command: str, timeout: float = 120.0) -> Finished:
         """Run a command inside; it and all it started are ended when it takes too long (code −9)."""
-        inside = ["env", "HOME=/share/home", f"BLENDER_USER_RESOURCES=/share/{self.profile}", *command]
+        (self.share / "tmp").mkdir(exist_ok=True)  # on the host's side, so that a crash report survives the run
+        inside = ["env", "HOME=/share/home", f"BLENDER_USER_RESOURCES=/share/{self.profile}", "TMPDIR=/share/tmp"]
+        inside += command
         process = subprocess.Popen(
             [str(CHROOT), "run", *inside],
             env=os.environ | {"HNF_CHROOT_SHARE": str(self.share)},
@@ -76,8 +78,10 @@ class App:
         """Run Blender in a window of this size on a screen of its own."""
         width, height = screen.split("x")
         display = ["xvfb-run", "-a", "-s", f"-screen 0 {screen}x24 +extension GLX +render -noreset"]
-        blender = ["blender", "--enable-event-simulate", "-noaudio", "-p", "0", "0", width, height, *arguments]
-        return self.run("env", "LIBGL_ALWAYS_SOFTWARE=1", *display, *blender, timeout=timeout)
+        blender = ["blender", "--enable-event-simulate", "-p", "0", "0", width, height, *arguments]
+        # Sound devices that play to nowhere, in real time.
+        silent = ["SDL_AUDIODRIVER=dummy", "ALSOFT_DRIVERS=null"]
+        return self.run("env", "LIBGL_ALWAYS_SOFTWARE=1", *silent, *display, *blender, timeout=timeout)
 
 
 @dataclass
@@ -169,6 +173,8 @@ def play(app: App, scenario: str) -> Played:
         timeout=PLAY_LIMIT_S,
     )
     (folder / "blender.log").write_text(finished.output, encoding="utf-8")
+    for report in (app.share / "tmp").glob("*.crash.txt"):
+        report.rename(folder / "crash.txt")
     keep(folder, PICTURES / scenario)
     return read_played(scenario, folder, finished)
 
@@ -178,7 +184,7 @@ def keep(folder: Path, kept: Path) -> None:
     shutil.rmtree(kept, ignore_errors=True)
     kept.mkdir(parents=True)
     for path in folder.iterdir():
-        if path.suffix in (".png", ".jsonl", ".log"):
+        if path.suffix in (".png", ".jsonl", ".log", ".txt"):
             shutil.copy2(path, kept / path.name)
 
 

@@ -98,6 +98,11 @@ def job_folders() -> list[Path]:
     return sorted(Path(tempfile.gettempdir()).glob("hnf-job-*"))
 
 
+def heard(name: str):
+    """The newest signal of a stroke as the preview has it, or None."""
+    return ours("preview.facts").PREVIEW.heard.get(name)
+
+
 def start_bake(stage, **properties) -> None:
     """Press Bake, with the mouse over the 3-D view."""
     with stage.over():

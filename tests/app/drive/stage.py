@@ -146,19 +146,42 @@ class Stage:
 
     # ---- the room
 
+    def drawn(self, region: str = "UI") -> Waits:
+        """Until a region of the 3-D view has been drawn once more: before that it has no size, tabs or matrices."""
+        seen: list[int] = []
+        handle = bpy.types.SpaceView3D.draw_handler_add(seen.append, (1,), region, "POST_PIXEL")
+        try:
+            deadline = time.monotonic() + 20.0
+            while not seen:
+                if time.monotonic() > deadline:
+                    raise MissedError(f"the {region} region of the 3-D view is not drawn")
+                self.area().tag_redraw()
+                yield TICK_S
+        finally:
+            bpy.types.SpaceView3D.draw_handler_remove(handle, region)
+
     def show_tab(self, category: str = "Touch") -> Waits:
         """Open the sidebar of the 3-D view at a tab."""
         self.area().spaces.active.show_region_ui = True
-        self.area().tag_redraw()
-        yield 0.4
+        yield from self.drawn()
         self.region("UI").active_panel_category = category
-        self.area().tag_redraw()
-        yield 0.4
+        yield from self.drawn()
+        yield 0.2
 
     def widen_sidebar(self, width: int) -> Waits:
         """Drag the sidebar's edge until it is this many pixels wide, more or less."""
         box = self.region("UI")
-        edge, y = box.x, box.y + box.height // 2
-        # The edge takes the mouse within a few pixels on either side; its own first pixels are the panels'.
-        yield from self.drag([(edge, y), (edge - 5, y), (box.x + box.width - width, y)], pause=0.1)
-        yield 0.3
+        edge, y = box.x, box.y + box.height // 3
+        yield from self.drag([(edge, y), (edge - 4, y), (box.x + box.width - width, y)], pause=0.15)
+        yield from self.drawn()
+
+    def take_sound_device(self) -> str:
+        """Let Blender play to a device that goes nowhere, in real time (see App.window); its name, "None" = there is
+        none."""
+        system = bpy.context.preferences.system
+        offered = [item.identifier for item in system.bl_rna.properties["audio_device"].enum_items]
+        for name in ("OpenAL", "SDL"):
+            if name in offered:
+                system.audio_device = name
+                return name
+        return "None"

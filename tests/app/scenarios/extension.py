@@ -1,6 +1,7 @@
 """The add-on as a guest: light, leaving nothing behind, and taking what is dropped on the window."""
 
 import sys
+from pathlib import Path
 
 import bpy
 
@@ -117,3 +118,65 @@ def check_a_second_blender_runs_beside_this_one(stage):
     )  # fmt: skip
     yield from stage.until("the child ends", lambda: child.poll() is not None, 60.0)
     stage.expect("it ran", "CHILD IS HERE" in child.stdout.read(), child.returncode)
+
+
+def check_a_material_file_is_dropped(stage):
+    """As the file browser's drop calls it: the handler's operator, with the path, the mouse over the surface."""
+    path = make_material_file(stage.folder)
+    handler = next(kind for kind in bpy.types.FileHandler.__subclasses__() if kind.bl_file_extensions == ".hnf")
+    stage.expect("a handler for .hnf", handler.bl_import_operator == "hnf.import_material")
+    at = stage.seen_at((0.0, 0.0, 1.0))
+    yield from stage.move(at)
+    with stage.over():
+        bpy.ops.hnf.import_material("INVOKE_DEFAULT", True, filepath=str(path))
+    yield 0.4
+    material = bpy.data.objects["Cube"].active_material
+    stage.expect("the cube feels like it", bool(material.hnf_touch.library), material.name)
+    yield from stage.picture("material-dropped")
+    yield from stage.key("Z", ctrl=True)
+    yield 0.4
+    material = bpy.data.objects["Cube"].active_material
+    stage.expect("one undo takes it back", not material.hnf_touch.library, material.hnf_touch.library)
+
+
+def check_the_asset_library_comes_and_goes(stage):
+    libraries = bpy.context.preferences.filepaths.asset_libraries
+    before = len(libraries)
+    with stage.over():
+        stage.expect("added", bpy.ops.hnf.assets_add() == {"FINISHED"})
+    stage.require("one library more", len(libraries) == before + 1, [one.name for one in libraries])
+    stage.expect("where blend files are", any(Path(libraries[-1].path).glob("**/*.blend")), libraries[-1].path)
+    name = libraries[-1].name
+    area = stage.area("DOPESHEET_EDITOR")
+    area.ui_type = "ASSETS"
+    yield 1.0
+    area.spaces.active.params.asset_library_reference = name
+    yield from enlarged(stage, "FILE_BROWSER")
+    yield 3.0
+    yield from stage.picture("asset-browser")
+    with stage.over():
+        bpy.ops.screen.screen_full_area()
+    yield 0.5
+    with stage.over():
+        stage.expect("removed", bpy.ops.hnf.assets_remove() == {"FINISHED"})
+    stage.expect("as many as before", len(libraries) == before)
+
+
+def enlarged(stage, kind):
+    with stage.over(kind):
+        bpy.ops.screen.screen_full_area()
+    yield 0.6
+
+
+def make_material_file(folder):
+    """A .hnf file of a library material, as `hnf materials --export` writes it."""
+    import subprocess
+
+    path = folder / "dropped.hnf"
+    done = subprocess.run(
+        [bpy.app.binary_path, "-b", "--command", "hnf", "materials", "--export", "denim", "--out", str(path)],
+        capture_output=True, text=True, timeout=100,
+    )  # fmt: skip
+    if not path.is_file():
+        raise RuntimeError(done.stdout + done.stderr)
+    return path

@@ -1,0 +1,117 @@
+"""What a window does to a bake that runs: undo and redo, edits, another file, and leaving."""
+
+from pathlib import Path
+
+import bpy
+from drive import scenery
+from drive.addon import baked, children, freshness, job_folders, kept, start_bake, state, strokes
+
+
+def prepare(stage, scale):
+    """A surface that no cache knows yet, with two strokes."""
+    scenery.empty_room()
+    plate = scenery.plate(material=scenery.ribbed_material(scale=scale), size_m=0.12)
+    for k in range(2):
+        scenery.stroke_on(plate, f"Stroke {k + 1}", 0.02, seconds=2.0)
+    yield 0.4
+    yield from scenery.look_at(stage, plate)
+    bpy.ops.ed.undo_push(message="prepared")
+    bpy.context.scene.frame_end = 123
+    bpy.ops.ed.undo_push(message="something to undo")
+
+
+def at_work(stage):
+    yield from stage.until("the child is at work", lambda: state().job is None or "Stroke" in state().job.stage, 60.0)
+    stage.require("the bake runs", state().job is not None, state().last_job)
+
+
+def done(stage):
+    yield from stage.until("the bake ends", lambda: state().job is None, 120.0)
+    stage.expect("no process is left", children() == [], children())
+    stage.expect("no folder is left", job_folders() == [], job_folders())
+
+
+def check_undo_and_redo_while_it_runs(stage):
+    yield from prepare(stage, 31.0)
+    start_bake(stage)
+    yield from at_work(stage)
+    yield from stage.key("Z", ctrl=True)
+    yield 0.3
+    stage.expect("the undo was done", bpy.context.scene.frame_end != 123, bpy.context.scene.frame_end)
+    stage.expect("the bake goes on", state().job is not None, state().last_job)
+    yield from stage.key("Z", ctrl=True, shift=True)
+    yield from done(stage)
+    stage.expect("and is kept", all(kept()[obj.name][-1] for obj in strokes()), state().last_job)
+    yield 0.6
+    stage.expect("as fresh", all(freshness(obj.name) == "fresh" for obj in strokes()), state().strokes)
+
+
+def check_an_edit_while_it_runs_costs_that_stroke_alone(stage):
+    yield from prepare(stage, 32.0)
+    start_bake(stage)
+    yield from at_work(stage)
+    bpy.data.objects["Stroke 1"].location.x += 0.002
+    yield from done(stage)
+    stage.expect("one is kept", [bool(kept()[obj.name][-1]) for obj in strokes()] == [False, True], kept())
+    stage.expect("and the other is named", "Stroke 1" in state().last_job.message, state().last_job)
+    yield from stage.show_tab()
+    yield from stage.picture("edited-while-baking")
+
+
+def check_statuses_follow_an_edit(stage):
+    yield from baked(stage)
+    yield 0.6
+    stage.expect("fresh", freshness("Stroke 1") == "fresh", state().strokes)
+    bpy.data.objects["Stroke 1"].hnf_stroke.seed += 1
+    yield from stage.until("a seed is noticed", lambda: freshness("Stroke 1") == "force", 5.0)
+    bpy.data.objects["Stroke 1"].location.x += 0.002
+    yield from stage.until("a move is noticed", lambda: freshness("Stroke 1") == "stale", 5.0)
+    bpy.ops.ed.undo_push(message="moved")
+    yield from stage.key("Z", ctrl=True)
+    yield from stage.until("an undo is noticed", lambda: freshness("Stroke 1") != "stale", 5.0)
+
+
+def check_another_file_ends_it(stage):
+    path = Path(stage.folder) / "another.blend"
+    yield from prepare(stage, 33.0)
+    bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True)
+    start_bake(stage)
+    yield from at_work(stage)
+    with stage.over():
+        bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False)
+    yield 0.5
+    yield from done(stage)
+    stage.expect("nothing was written into it", not any(kept()[obj.name][-1] for obj in strokes()), kept())
+    yield from baked(stage)
+    stage.expect("and there it bakes", all(kept()[obj.name][-1] for obj in strokes()), state().last_job)
+
+
+def check_a_second_window_closes_without_harm(stage):
+    yield from prepare(stage, 34.0)
+    with stage.over():
+        bpy.ops.wm.window_new()
+    yield 0.5
+    start_bake(stage)
+    yield from at_work(stage)
+    other = next(window for window in bpy.context.window_manager.windows if window != stage.window())
+    with bpy.context.temp_override(window=other):
+        bpy.ops.wm.window_close()
+    yield 0.3
+    yield from done(stage)
+    stage.expect("it is kept", all(kept()[obj.name][-1] for obj in strokes()), state().last_job)
+
+
+def check_switching_the_add_on_off_ends_it(stage):
+    import addon_utils
+    from drive.addon import MODULE
+
+    yield from prepare(stage, 35.0)
+    start_bake(stage)
+    yield from at_work(stage)
+    addon_utils.disable(MODULE)
+    yield 0.5
+    stage.expect("no process is left", children() == [], children())
+    stage.expect("no folder is left", job_folders() == [], job_folders())
+    addon_utils.enable(MODULE)
+    yield 0.3
+    stage.expect("no job is left", state().job is None, state().job)

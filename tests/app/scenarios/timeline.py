@@ -1,0 +1,122 @@
+"""Strokes in time: the playhead, the overlay, sound in step, the sequencer, speakers."""
+
+import bpy
+from drive import scenery
+from drive.addon import baked, freshness, heard, ours, strokes
+
+SCREEN = "1280x1100"
+FRAMES = 48
+
+
+def overlay_pixels(stage, name):
+    """A photograph of the 3-D view, and its bytes for comparing."""
+    yield 0.3
+    stage.memory[name] = stage.photograph(name).read_bytes()
+
+
+def check_a_baked_scene(stage):
+    scenery.empty_room()
+    yield 0.5
+    plate = scenery.plate(size_m=0.12)
+    scenery.stroke_on(plate, "Along", 0.06, seconds=1.5)
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end, scene.sync_mode = 1, FRAMES, "AUDIO_SYNC"
+    yield from scenery.look_at(stage, plate)
+    yield from stage.show_tab()
+    yield from baked(stage)
+    yield from stage.until("its signal is there", lambda: heard("Along") is not None, 20.0)
+    stage.expect("fresh", freshness("Along") == "fresh")
+
+
+def check_the_contact_moves_with_the_playhead(stage):
+    bpy.context.scene.frame_set(1)
+    yield from overlay_pixels(stage, "playhead-at-1")
+    bpy.context.scene.frame_set(20)
+    yield from overlay_pixels(stage, "playhead-at-20")
+    bpy.context.scene.frame_set(1)
+    yield from overlay_pixels(stage, "playhead-back-at-1")
+    before, after, again = (stage.memory[f"playhead-{name}"] for name in ("at-1", "at-20", "back-at-1"))
+    stage.expect("another frame, another picture", before != after)
+    stage.expect("the same frame, the same picture", before == again)
+
+
+def check_without_the_overlay_nothing_is_drawn(stage):
+    settings = bpy.context.preferences.addons["bl_ext.user_default.hnf"].preferences
+    settings.overlay = False
+    stage.area().tag_redraw()
+    yield from overlay_pixels(stage, "overlay-off")
+    settings.overlay = True
+    stage.area().tag_redraw()
+    yield from overlay_pixels(stage, "overlay-on")
+    stage.expect("the switch is seen", stage.memory["overlay-off"] != stage.memory["overlay-on"])
+
+
+def check_playback_sounds_and_moves_on(stage):
+    stage.require("a sound device, one that plays to nowhere", stage.take_sound_device() != "None")
+    player = ours("preview.current").PLAYER
+    bpy.context.scene.frame_set(1)
+    yield 0.3
+    with stage.over():
+        bpy.ops.screen.animation_play()
+    yield from stage.until("the stroke sounds with the timeline", lambda: player.is_playing, 10.0)
+    seen = set()
+    for _ in range(20):
+        seen.add(bpy.context.scene.frame_current)
+        yield 0.05
+    stage.photograph("playing")
+    stage.expect("the playhead moves", len(seen) > 3, sorted(seen))
+    with stage.over():
+        bpy.ops.screen.animation_play()
+    yield 0.3
+    stage.expect("no sound once the timeline stands", not player.is_playing)
+
+
+def check_scrubbing_through_all_frames(stage):
+    for frame in range(1, FRAMES + 1):
+        bpy.context.scene.frame_set(frame)
+        yield 0.01
+    with stage.over():
+        bpy.ops.screen.frame_jump(end=False)
+    yield 0.2
+    stage.expect("back at the start", bpy.context.scene.frame_current == 1)
+    stage.expect("scrubbing made nothing stale", freshness("Along") == "fresh", freshness("Along"))
+
+
+def check_into_the_sequencer(stage):
+    bpy.context.scene.hnf.export_folder = str(stage.folder / "wavs")
+    with stage.over():
+        stage.expect("added", bpy.ops.hnf.add_to_sequencer("INVOKE_DEFAULT", True) == {"FINISHED"})
+    yield 0.3
+    editor = bpy.context.scene.sequence_editor
+    strips = list(editor.strips if hasattr(editor, "strips") else editor.sequences)
+    stage.expect("one sound strip", [strip.type for strip in strips] == ["SOUND"], strips)
+    start = strokes()[0].hnf_stroke.start
+    stage.expect("at the stroke's start", abs(strips[0].frame_final_start - start) <= 1, strips[0].frame_final_start)
+    with stage.over():
+        bpy.ops.hnf.add_to_sequencer("INVOKE_DEFAULT", True)
+    yield 0.2
+    again = list(editor.strips if hasattr(editor, "strips") else editor.sequences)
+    stage.expect("a second time it is replaced", len(again) == 1, again)
+    area = stage.area("DOPESHEET_EDITOR")
+    area.type = "SEQUENCE_EDITOR"
+    yield 0.6
+    with stage.over("SEQUENCE_EDITOR"):
+        bpy.ops.sequencer.view_all()
+    yield from stage.picture("sequencer", settle=1.0)
+
+
+def check_a_speaker_at_the_stroke(stage):
+    with stage.over():
+        stage.expect("added", bpy.ops.hnf.add_speaker("INVOKE_DEFAULT", True) == {"FINISHED"})
+    yield 0.4
+    speakers = [obj for obj in bpy.context.scene.objects if obj.type == "SPEAKER"]
+    stage.require("one speaker", len(speakers) == 1, speakers)
+    stage.expect("with a sound", speakers[0].data.sound is not None)
+    stage.expect("packed", speakers[0].data.sound.packed_file is not None)
+    distance = (speakers[0].matrix_world.translation - bpy.data.objects["Plate"].matrix_world.translation).length
+    stage.expect("where the stroke is", distance < 0.06, distance)
+    yield from stage.picture("speaker")
+    yield from stage.key("Z", ctrl=True)
+    yield 0.5
+    stage.expect("one undo takes it away", not [obj for obj in bpy.context.scene.objects if obj.type == "SPEAKER"])
+    stage.expect("and leaves the stroke", len(strokes()) == 1)
