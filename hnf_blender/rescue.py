@@ -12,7 +12,7 @@ import traceback
 from pathlib import Path
 from typing import Any
 
-LINE = 44
+LINE = 32
 """Characters of a line in a sidebar of usual width."""
 
 _shown: list[Any] = []

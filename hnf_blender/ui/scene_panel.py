@@ -118,7 +118,7 @@ class HNF_PT_plan(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N
 
 
 class HNF_PT_scale(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
-    bl_label = "Scale"
+    bl_label = "Units"
     bl_parent_id = "HNF_PT_scene"
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
 
