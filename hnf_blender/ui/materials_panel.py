@@ -21,7 +21,7 @@ def felt_text(material: Any) -> tuple[str, str]:
     if material.hnf_touch.library:
         return "LOCKED", spoken(material.hnf_touch.library)
     if OWN_DEFINITION in material:
-        return "LOCKED", tr("Its own definition (.hnf)")
+        return "LOCKED", tr("Own (.hnf)")
     ranked = STATE.suggestions.get(material.name)
     if ranked:
         return "UNLOCKED", f"{spoken(ranked[0].name)} ({sure_text(ranked[0].confidence)})"

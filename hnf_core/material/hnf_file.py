@@ -177,7 +177,7 @@ def _unpack(data: bytes) -> tuple[dict[str, str], dict[str, bytes]]:
     if len(data) < 8:
         raise ValueError("it ends early")
     if size > LARGEST or len(data) > LARGEST:
-        raise ValueError("it claims to be larger than any material")
+        raise ValueError("it is larger than any material, or something else")
     if size > len(data) - 8:
         raise ValueError("it ends early")
     header = json.loads(data[8 : 8 + size].decode("utf-8"))

@@ -176,6 +176,7 @@ def test_a_dropped_wav_is_a_speaker_at_the_active_stroke(tmp_path: Path) -> None
     assert np.allclose(speaker.matrix_world.translation, (0.02, 0.01, 0.0), atol=1e-6)
     assert Path(speaker.data.sound.filepath) == tmp_path / "a.wav"
     assert [strip.frame_start for track in speaker.animation_data.nla_tracks for strip in track.strips] == [13.0]
+    assert max(speaker.scale) < 0.01  # drawn in proportion to a stroke of 26 mm
     assert speaker.data.volume == pytest.approx(0.9 / 6.0)  # 6 m/s² would be clipped at full scale
 
 

@@ -79,6 +79,24 @@ def check_a_sound_becomes_a_speaker_at_the_stroke(stage):
     yield from stage.picture("sound-dropped")
 
 
+def check_the_asset_library_is_offered_and_used(stage):
+    libraries = bpy.context.preferences.filepaths.asset_libraries
+    before = [library.name for library in libraries]
+    stage.expect("it is not put there in silence", not any("Haptic" in name for name in before), before)
+    bpy.ops.hnf.assets_add()
+    name = next(library.name for library in libraries if library.name not in before)
+    area = stage.area()
+    area.ui_type = "ASSETS"
+    yield 0.5
+    area.spaces.active.params.asset_library_reference = name
+    yield 3.0
+    yield from stage.picture("asset-browser")
+    bpy.ops.hnf.assets_remove()
+    stage.expect("it is taken away again", [library.name for library in libraries] == before)
+    area.ui_type = "VIEW_3D"
+    yield 0.5
+
+
 def check_a_bad_material_is_refused_in_words(stage):
     bad = stage.folder / "bad.hnf"
     bad.write_bytes(b"not a material")
@@ -92,23 +110,3 @@ def check_a_bad_material_is_refused_in_words(stage):
     yield 0.5
     stage.expect("no material was made", len(bpy.data.materials) == before)
     yield from stage.picture("bad-material")
-
-
-def check_the_asset_library_is_offered_and_used(stage):
-    libraries = bpy.context.preferences.filepaths.asset_libraries
-    before = [library.name for library in libraries]
-    stage.expect("it is not put there in silence", not any("Haptic" in name for name in before), before)
-    bpy.ops.hnf.assets_add()
-    name = next(library.name for library in libraries if library.name not in before)
-    area = stage.area("DOPESHEET_EDITOR") if any(a.type == "DOPESHEET_EDITOR" for a in stage.areas()) else stage.area()
-    was = area.ui_type
-    area.ui_type = "ASSETS"
-    yield 0.5
-    area.spaces.active.params.asset_library_reference = name
-    yield 3.0
-    yield from stage.picture("asset-browser")
-    area.ui_type = "ASSETS" if area.type == "VIEW_3D" else was
-    bpy.ops.hnf.assets_remove()
-    stage.expect("it is taken away again", [library.name for library in libraries] == before)
-    area.ui_type = was
-    yield 0.3
