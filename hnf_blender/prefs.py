@@ -10,6 +10,7 @@ import bpy
 from hnf_core.material.mechanics import PROBES
 
 from .state.session import STATE
+from .translations import tr
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,11 @@ class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy h
         layout.use_property_split = True
         layout.prop(self, "overlay")
         layout.prop(self, "default_probe")
+        folder = dict(STATE.diagnosis).get("Cache folder")
+        if folder:
+            layout.label(text=f"{tr('Cache folder')}: {folder}", translate=False)
+        else:
+            layout.operator("hnf.diagnose", text="Show the Cache's Folder and Size", icon="VIEWZOOM")
         draw_cache(layout, STATE)
         row = layout.row(heading="Asset library")
         row.operator("hnf.assets_add", text="Add")

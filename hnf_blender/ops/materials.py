@@ -96,6 +96,14 @@ class HNF_OT_material_choose(bpy.types.Operator):  # type: ignore[misc]  # noqa:
     material: bpy.props.StringProperty(name="Material", description="Name of the Blender material", options={"HIDDEN"})
     name: bpy.props.EnumProperty(name="Feels like", description="Material of the library", items=LIBRARY)
 
+    @classmethod
+    def description(cls, _context: Any, properties: Any) -> str:
+        """The tooltip: of a suggestion, why it was suggested."""
+        ranked = STATE.suggestions.get(properties.material, ()) if properties.is_property_set("name") else ()
+        why = next((each.reason for each in ranked if each.name == properties.name), "")
+        text = tr(cls.bl_description)
+        return f"{spoken(properties.name)}: {why}. {text}" if why else text
+
     def invoke(self, context: Any, _event: Any) -> set[str]:
         if self.properties.is_property_set("name"):
             return self.execute(context)

@@ -37,13 +37,12 @@ class HNF_PT_diagnose(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noq
 def draw_cache(layout: Any, state: SessionState) -> None:
     """The button that empties the cache, with what it frees where that was looked up."""
     size = dict(state.diagnosis).get("Cache size")
-    row = layout.row()
     if size:
-        row.operator(
+        layout.operator(
             "hnf.cache_clear", text=tr("Clear Cache ({size})").format(size=size), icon="TRASH", translate=False
         )
     else:
-        row.operator("hnf.cache_clear", icon="TRASH")
+        layout.operator("hnf.cache_clear", icon="TRASH")
 
 
 CLASSES = (HNF_PT_diagnose,)

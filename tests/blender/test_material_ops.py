@@ -8,7 +8,7 @@ from builders import add_plane, datablock_names
 
 from hnf_blender.bridge.shader_values import stated_appearance
 from hnf_blender.compat import switch_nodes_on
-from hnf_blender.ops.materials import CLASSES, LIBRARY, felt_object
+from hnf_blender.ops.materials import CLASSES, LIBRARY, HNF_OT_material_choose, felt_object
 from hnf_blender.rooms import switch_off, switch_on
 from hnf_blender.state.session import STATE
 from hnf_core.material.library import load_library
@@ -137,6 +137,22 @@ def test_a_linked_material_is_left_alone(tmp_path) -> None:
     with pytest.raises(RuntimeError, match="linked from another file"):
         bpy.ops.hnf.material_choose(material="Seat", name="leather")
     assert bpy.data.materials["Seat"].hnf_touch.library == ""
+
+
+def test_a_suggestion_says_why_in_its_tooltip() -> None:
+    touched(material("Old oak table"))
+    bpy.ops.hnf.suggest()
+
+    class Chosen:
+        material, name = "Old oak table", "oak-wood"
+
+        @staticmethod
+        def is_property_set(_name: str) -> bool:
+            return True
+
+    assert HNF_OT_material_choose.description(bpy.context, Chosen).startswith("Oak wood: 'oak' in 'Old oak table'")
+    Chosen.material = "Another"
+    assert HNF_OT_material_choose.description(bpy.context, Chosen) == HNF_OT_material_choose.bl_description
 
 
 def test_the_searchable_list_is_the_library_grouped_by_category() -> None:
