@@ -88,26 +88,27 @@ def split_profile(profile: HeightProfile, carriers: Carriers) -> ProfileBands:
         # Grid points of this octave are every factor-th of the finest: align by a phase.
         origin = -(-first // factor)
         shift = np.exp(2j * np.pi * kappa * (origin * factor - first) * step)[: coarse // 2 + 1]
-        part = np.zeros((ARC_PER_OCTAVE, coarse // 2 + 1), dtype=np.complex128)
+        shifted = spectrum[: coarse // 2 + 1] * shift
         owner = np.searchsorted(band_edges, kappa[: coarse // 2 + 1], side="right") - 1
-        for band in range(ARC_PER_OCTAVE):
-            inside = owner == band
-            part[band, inside] = (spectrum[: coarse // 2 + 1] * shift)[inside] / factor
         count = len(height) // factor
-        wave = np.fft.irfft(part, coarse, axis=1)[:, :count]
-        waves.append(wave.astype(np.float32))
+        wave = np.empty((ARC_PER_OCTAVE, count), dtype=np.float32)
+        total, level = np.zeros(count), np.empty(ARC_PER_OCTAVE)
+        for band in range(ARC_PER_OCTAVE):  # one by one: all at once take a gigabyte for a minute of stroke
+            one = np.fft.irfft(np.where(owner == band, shifted, 0.0) / factor, coarse)[:count]
+            wave[band] = one
+            total += one
+            level[band] = np.mean(np.square(one)) if count else 0.0
+        waves.append(wave)
         firsts.append(origin)
-        power[octave * ARC_PER_OCTAVE : (octave + 1) * ARC_PER_OCTAVE] = _stationary_power(
-            wave, coarse * factor * step, band_edges
-        )
+        power[octave * ARC_PER_OCTAVE : (octave + 1) * ARC_PER_OCTAVE] = _stationary_power(total, level, band_edges)
     return ProfileBands(tuple(waves), tuple(firsts), power)
 
 
-def _stationary_power(wave: Float, period_m: float, band_edges: Float) -> Float:
-    """Mean power (24,) of an octave's bands over the stretches in which no event happens."""
-    if wave.shape[1] == 0:
-        return np.zeros(len(wave))
-    total = wave.sum(axis=0)
+def _stationary_power(total: Float, level: Float, band_edges: Float) -> Float:
+    """Mean power (24,) of an octave's bands over the stretches in which no event happens. total: (m,) their sum.
+    level: (24,) their mean power with all events."""
+    if len(total) == 0:
+        return level
     step = 1.0 / (16.0 * band_edges[-1])
     stretch = max(round(4.0 / float(band_edges[0]) / step), 1)
     count = len(total) // stretch
@@ -120,7 +121,7 @@ def _stationary_power(wave: Float, period_m: float, band_edges: Float) -> Float:
         if 0 < event.sum() <= max(_MAX_EVENTS * count, 3):
             keep[: count * stretch] = np.repeat(~event, stretch)
     if keep.all():
-        return np.asarray(np.mean(np.square(wave), axis=1))
+        return level
     ramp = np.hanning(max(stretch // 2, 3))
     mask = np.minimum(np.convolve(keep, ramp / ramp.sum(), mode="same"), keep)
     size = 1 << int(np.ceil(np.log2(len(total))))
