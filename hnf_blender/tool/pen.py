@@ -166,7 +166,14 @@ class Pen:
         self._touching.append(touching)
 
     def _pressure_of(self, event: Any) -> float:
-        return float(event.pressure) if self._is_pen or event.is_tablet else 1.0
+        """Of an event; some drivers tell of the pen only after the press, or no longer at the release."""
+        if not event.is_tablet:
+            return self._last[2] if self._is_pen else 1.0
+        if not self._is_pen:
+            self._is_pen = True
+            self._pressure = [float(event.pressure)] * len(self._pressure)
+            self._last = (self._last[0], self._last[1], float(event.pressure))
+        return float(event.pressure)
 
     def _cast(self, context: Any, x: float, y: float) -> Any:
         from bpy_extras import view3d_utils
