@@ -9,12 +9,14 @@ from .device import Player
 from .facts import PREVIEW, PreviewFacts
 
 if TYPE_CHECKING:
-    from hnf_core.actuators.profile import ActuatorProfile
+    from hnf_core.actuators.profile import ActuatorProfile, Levels
 
     from .hearing import Heard
     from .pictures import Look
 
 PLAYER = Player()
+KEPT_LEVELS = 16
+_levels: dict[tuple[str, str], Levels] = {}
 NOT_TRUE = (Freshness.STALE, Freshness.BROKEN)
 
 
@@ -122,8 +124,6 @@ def problem_of(name: str) -> str:
 
 def tell(name: str, scene: Any) -> PreviewFacts:
     """Facts of a stroke for the panels, made anew."""
-    from hnf_core.actuators.profile import levels_of
-
     shown, profile = PREVIEW.shown(name), profile_for(scene)
     asked = PREVIEW.asked.get(name)
     newest = PREVIEW.heard.get(name)
@@ -138,7 +138,7 @@ def tell(name: str, scene: Any) -> PreviewFacts:
     if shown is None:
         facts = PreviewFacts(name, **common)  # type: ignore[arg-type]
     else:
-        levels = levels_of(shown.signal, profile)
+        levels = levels_against(shown, profile)
         facts = PreviewFacts(
             name, shown.signal.duration_s, levels.peak, levels.rms, levels.headroom_db, shown.confidence,
             lines=tuple(words(shown, profile, scene.hnf.monitor_gain_db)), **common,  # type: ignore[arg-type]
@@ -149,11 +149,9 @@ def tell(name: str, scene: Any) -> PreviewFacts:
 
 def words(shown: Heard, profile: ActuatorProfile, gain_db: float) -> list[str]:
     """A signal's figures, one line a thought."""
-    from hnf_core.actuators.profile import levels_of
-
     from .monitor import clips_by_db
 
-    levels = levels_of(shown.signal, profile)
+    levels = levels_against(shown, profile)
     lines = [f"{shown.signal.duration_s:.2f} s; peak {levels.peak:.3g} m/s², RMS {levels.rms:.3g} m/s²"]
     if levels.headroom_db is not None and levels.peak > 0.0 and profile.peak_m_s2 is not None:
         limit = f"{profile.title} ({profile.peak_m_s2:.3g} m/s²)"
@@ -171,6 +169,18 @@ def words(shown: Heard, profile: ActuatorProfile, gain_db: float) -> list[str]:
         [f"The preview clips by {clipped:.1f} dB: lower the monitor gain. The signal is not clipped"] if clipped else []
     )
     return [*lines, *outside, *loud, *shown.warnings]
+
+
+def levels_against(shown: Heard, profile: ActuatorProfile) -> Levels:
+    """Computed once for a signal and an actuator: facts are told ten times a second."""
+    from hnf_core.actuators.profile import levels_of
+
+    key = (shown.stamp, profile.name)
+    if key not in _levels:
+        while len(_levels) >= KEPT_LEVELS:
+            del _levels[next(iter(_levels))]
+        _levels[key] = levels_of(shown.signal, profile)
+    return _levels[key]
 
 
 def profile_for(scene: Any) -> ActuatorProfile:
