@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -56,6 +55,8 @@ def find(name: str) -> LibraryMaterial:
 
     Raises MaterialError that names close matches.
     """
+    from difflib import get_close_matches  # here: switching the add-on on reads the library and needs no guesses
+
     wanted = _normalised(name)
     library = load_library()
     for material in library:
