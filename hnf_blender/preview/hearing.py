@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import traceback
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -140,6 +141,7 @@ class Listener:
             except HnfError as error:
                 outcome = str(error)
             except Exception as error:  # a fault of ours must not end the thread
+                traceback.print_exc()
                 outcome = f"internal error ({error!r}). Please report it."
             with self._condition:
                 self._busy = False
