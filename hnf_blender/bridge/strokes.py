@@ -71,9 +71,8 @@ class SceneStroke:
 
 
 def stroke_objects(scene: Any) -> list[Any]:
-    """The scene's strokes that are heard, by name: those that are soloed where any is, else those not muted."""
+    """The scene's strokes that are not muted, by name."""
     strokes = [obj for obj in scene.objects if obj.hnf_stroke.is_stroke and not obj.hnf_stroke.mute]
-    strokes = [obj for obj in strokes if getattr(obj.hnf_stroke, "solo", False)] or strokes
     return sorted(strokes, key=lambda obj: str(obj.name))
 
 

@@ -216,7 +216,8 @@ def told(result: Result, committed: Committed, seconds: float) -> LastJob:
         message = f"Nothing to bake: {_count(result.fresh, 'stroke')} fresh already."
     if problems:
         more = f" (and {_count(len(problems) - 1, 'problem')} more)" if len(problems) > 1 else ""
-        message = f"{message} {problems[0].why}{more}"
+        first = problems[0].why
+        message = f"{message} {first[:1].upper()}{first[1:]}{more}"
     details = (*(problem.why for problem in problems[1:]), *result.warnings)
     written = len(committed.strokes) + len(committed.meshes)
     return LastJob(not problems, message, details, written)

@@ -270,15 +270,11 @@ def _left_out(session: Session, touched: set[str]) -> Iterator[Skipped]:
     others = [obj for obj in session.scene.objects if obj.type == "MESH" and obj.name not in touched]
     hidden = [obj.name for obj in others if not is_visible(obj, session.view_layer)]
     free = [obj.name for obj in others if obj.name not in set(hidden)]
-    strokes = [obj for obj in session.scene.objects if obj.hnf_stroke.is_stroke]
-    heard = {obj.name for obj in stroke_objects(session.scene)}
-    muted = [obj.name for obj in strokes if obj.hnf_stroke.mute]
-    unsoloed = [obj.name for obj in strokes if not obj.hnf_stroke.mute and obj.name not in heard]
+    muted = [obj.name for obj in session.scene.objects if obj.hnf_stroke.is_stroke and obj.hnf_stroke.mute]
     for names, kind, why in (
         (free, "object", "no stroke touches it"),
         (hidden, "object", "hidden"),
         (muted, "stroke", "muted"),
-        (unsoloed, "stroke", "another stroke is soloed"),
     ):
         if len(names) > 8:
             yield Skipped(f"{len(names)} {kind}s ({', '.join(names[:3])}, …)", why)

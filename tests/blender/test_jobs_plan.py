@@ -91,22 +91,6 @@ def test_force_where_nothing_was_touched_is_stale() -> None:
     assert "no contact" in STATE.strokes["Along"].why
 
 
-def test_soloed_strokes_are_baked_alone(monkeypatch) -> None:
-    from hnf_blender.bridge import strokes
-
-    plate, _ = small_scene()
-    line_stroke("Alone", surface=plate)
-    if hasattr(plate.hnf_stroke, "solo"):
-        bpy.data.objects["Alone"].hnf_stroke.solo = True
-    else:
-        pytest.skip("strokes cannot be soloed yet")
-    assert [obj.name for obj in strokes.stroke_objects(bpy.context.scene)] == ["Alone"]
-    plan()
-    assert "stroke 'Along': another stroke is soloed" in lines("skipped")
-    bpy.ops.hnf.bake()
-    assert list(kept()["bakes"]) == ["Alone"]
-
-
 def test_only_the_active_stroke() -> None:
     plate, along = small_scene()
     line_stroke("Beside", surface=plate, force=2.0)
