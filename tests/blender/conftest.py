@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterator
 
 import pytest
 
@@ -18,13 +19,14 @@ def stroke_properties() -> None:
         props.register()
 
 
-@pytest.fixture(scope="session")
-def operators(stroke_properties: None) -> None:
-    """The add-on's operators, for tests that press its buttons."""
+@pytest.fixture(scope="module")
+def operators(stroke_properties: None) -> Iterator[None]:
+    """The add-on's operators, for a module of tests that press its buttons; other modules switch on what they need."""
     from hnf_blender import ops
 
-    if not hasattr(bpy.types, "HNF_OT_import_material"):
-        ops.register()
+    ops.register()
+    yield
+    ops.unregister()
 
 
 @pytest.fixture(autouse=True)
@@ -49,7 +51,7 @@ def lone_bake(operators, tmp_path, monkeypatch):
 
 
 @pytest.fixture(scope="session")
-def rendered_plate(operators, tmp_path_factory):
+def rendered_plate(stroke_properties, tmp_path_factory):
     """The close-ups of job_scene.small_scene."""
     from job_scene import small_scene
 
