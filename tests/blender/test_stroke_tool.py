@@ -230,3 +230,97 @@ def test_the_tools_icon_is_one():
 
     assert stroke_tool.ICON.with_suffix(".stroke.dat").is_file()
     assert bpy.app.icons.new_triangles_from_file(str(stroke_tool.ICON) + ".dat") > 0
+
+
+class Desk:
+    """A 3-D view of 200 × 200 pixels, straight down on 200 × 200 mm, and the events that its window would send."""
+
+    def __init__(self):
+        from types import SimpleNamespace as Plain
+
+        from mathutils import Matrix
+
+        view, window = Matrix.Translation((0.0, 0.0, -1.0)), Matrix.Diagonal((10.0, 10.0, -0.1, 1.0))
+        view_of = Plain(
+            view_matrix=view, window_matrix=window, perspective_matrix=window @ view, is_perspective=False,
+            view_perspective="ORTHO",
+        )  # fmt: skip
+        self.region = Plain(type="WINDOW", x=0, y=0, width=200, height=200, data=view_of)
+        area = Plain(type="VIEW_3D", regions=[self.region], spaces=Plain(active=None), tag_redraw=lambda: None)
+        screen = Plain(areas=[area])
+        self.context = Plain(
+            scene=bpy.context.scene,
+            mode="OBJECT",
+            evaluated_depsgraph_get=bpy.context.evaluated_depsgraph_get,
+            window=Plain(screen=screen),
+            window_manager=Plain(windows=[Plain(screen=screen)]),
+            workspace=Plain(status_text_set=lambda text: None),
+        )
+
+    def event(self, x, y, kind="MOUSEMOVE", pressure=None):
+        from types import SimpleNamespace as Plain
+
+        tablet = pressure is not None
+        return Plain(type=kind, mouse_x=x, mouse_y=y, is_tablet=tablet, pressure=pressure if tablet else 1.0)
+
+
+@pytest.fixture
+def desk():
+    return Desk()
+
+
+@pytest.fixture
+def pen(desk):
+    from hnf_blender.tool.pen import Pen
+
+    pen = Pen(desk.context, lambda pressure, is_pen: pressure)
+    yield pen
+    pen.close(desk.context)
+
+
+def press(pen, desk, x, y, **how):
+    return pen.press(desk.context, desk.event(x, y, **how), desk.region)
+
+
+def test_the_pen_follows_the_surface_and_knows_where_it_leaves_it(pen, desk):
+    add_plane("Cloth")
+    assert not press(pen, desk, 10, 100)
+    assert "No mesh under the pen" in pen.why_not
+    assert press(pen, desk, 100, 100)
+    assert pen.is_click
+    pen.move(desk.context, desk.event(180, 100))
+    pen.move(desk.context, desk.event(100, 140))
+    assert not pen.is_click
+    assert pen.surface == "Cloth"
+    found = pen.samples(desk.context)
+    points, _, times, touching = (np.array(each) for each in zip(*found, strict=True))
+    assert np.allclose(points[0], 0.0, atol=1e-6)
+    assert np.allclose(points[-1], [0.0, 0.04, 0.0], atol=1e-6)
+    assert points[:, 0].max() == pytest.approx(0.05, abs=0.004)
+    assert touching[[0, -1]].all()
+    assert not touching.all()
+    assert times[0] == 0.0
+    assert (np.diff(times) >= 0.0).all()
+    steps = np.linalg.norm(np.diff(points[: touching.argmin()], axis=0), axis=1)
+    assert steps.max() < 0.0041  # rays every four pixels, though the mouse jumped
+
+
+def test_events_in_between_share_the_time(pen, desk):
+    add_plane()
+    press(pen, desk, 80, 100)
+    for x in (82, 84, 86):
+        pen.move(desk.context, desk.event(x, 100, "INBETWEEN_MOUSEMOVE"))
+    assert len(pen.samples(desk.context)) == 1
+    pen.move(desk.context, desk.event(88, 100))
+    points, _, times, _ = (np.array(each) for each in zip(*pen.samples(desk.context), strict=True))
+    assert np.allclose(points[:, 0], [-0.02, -0.018, -0.016, -0.014, -0.012], atol=1e-6)
+    assert np.allclose(np.diff(times), times[-1] / 4.0)
+
+
+def test_a_pen_that_tells_of_itself_late_and_not_at_the_release(pen, desk):
+    add_plane()
+    press(pen, desk, 80, 100)
+    pen.move(desk.context, desk.event(82, 100, pressure=0.4))
+    pen.move(desk.context, desk.event(84, 100, pressure=0.6))
+    pen.move(desk.context, desk.event(86, 100))
+    assert [round(sample[1], 6) for sample in pen.samples(desk.context)] == [0.4, 0.4, 0.6, 0.6]
