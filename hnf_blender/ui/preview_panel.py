@@ -8,6 +8,7 @@ import bpy
 
 from ..preview.facts import PreviewFacts, preview_facts, preview_icon
 from ..props.scene import active_stroke, strokes_of
+from ..state.session import STATE, Freshness
 from ..translations import tr
 from .layout import TouchPanel, hint, paragraph
 
@@ -19,6 +20,12 @@ def picture_units(width_px: float, scale: float) -> float:
     """Size of the square picture in interface units: as wide as the panel."""
     least, most = PICTURE_UNITS
     return min(max((width_px / scale - 50.0) / UNIT_PX, least), most)
+
+
+def is_baked(name: str) -> bool:
+    """Is there a bake, even an old one? Where that is not known yet, it is taken for there."""
+    status = STATE.strokes.get(name)
+    return status is None or status.freshness is not Freshness.UNBAKED
 
 
 class HNF_PT_preview(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801  # bpy has no types
@@ -42,7 +49,7 @@ class HNF_PT_preview(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa
         else:
             row.operator("hnf.preview_play", text="Play", icon="PLAY")
         row.prop(context.scene.hnf, "loop", text="", icon="FILE_REFRESH")
-        if facts is None:
+        if facts is None or not is_baked(stroke.name):
             hint(layout, context, tr("Bake this stroke to see and hear it"))
             return
         if facts.problem:

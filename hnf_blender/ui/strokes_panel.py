@@ -8,14 +8,15 @@ import bpy
 
 from .. import compat
 from ..ops.materials import spoken
+from ..preview.facts import preview_facts
 from ..props.scene import active_stroke, strokes_of
 from ..state.session import STATE
 from ..translations import tr
 from .layout import TouchPanel, hint, named, paragraph, side_by_side
 from .texts import look
 
-ROWS = (3, 8)
-"""Fewest and most rows of the list."""
+FEWEST_ROWS, MOST_ROWS = 2, 8
+"""Of the list; between them, as many as there are strokes."""
 
 
 class HNF_PT_strokes(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801  # bpy has no types
@@ -39,9 +40,8 @@ class HNF_PT_strokes(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa
             )
             return
         row = layout.row()
-        row.template_list(
-            "HNF_UL_strokes", "", scene, "objects", scene.hnf, "stroke_index", rows=ROWS[0], maxrows=ROWS[1]
-        )
+        rows = min(max(len(strokes), FEWEST_ROWS), MOST_ROWS)
+        row.template_list("HNF_UL_strokes", "", scene, "objects", scene.hnf, "stroke_index", rows=rows)
         side = row.column(align=True)
         side.operator("hnf.stroke_duplicate", text="", icon="DUPLICATE")
         side.operator("hnf.stroke_delete", text="", icon="REMOVE")
@@ -69,8 +69,10 @@ class HNF_PT_stroke(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # noqa: N
         layout.prop(stroke, "name", text="", icon="CURVE_DATA")
         icon, text = look(STATE.strokes.get(stroke.name))
         paragraph(layout, context, text, icon=icon)
-        for warning in STATE.strokes[stroke.name].warnings if stroke.name in STATE.strokes else ():
-            paragraph(layout, context, warning, icon="ERROR")
+        status, heard = STATE.strokes.get(stroke.name), preview_facts(stroke)
+        if status is not None and (heard is None or not heard.lines):  # else the preview says it
+            for warning in status.warnings:
+                paragraph(layout, context, warning, icon="ERROR")
         layout.use_property_split = True
         column = layout.column()
         column.use_property_decorate = False
@@ -91,6 +93,7 @@ class HNF_PT_stroke(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # noqa: N
 
 class HNF_PT_stroke_time(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
     bl_label = "Time"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012  # Blender reads a set
 
     def draw(self, context: Any) -> None:
         layout, group = self.layout, active_stroke(context).hnf_stroke
@@ -131,7 +134,7 @@ class HNF_PT_stroke_force(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # n
 
 class HNF_PT_stroke_variation(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
     bl_label = "Variation"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012  # Blender reads a set
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
 
     def draw(self, context: Any) -> None:
         self.layout.use_property_split = True

@@ -156,6 +156,27 @@ def test_an_empty_scene_says_what_to_do_first_and_the_hint_goes_away() -> None:
     assert "1  Draw" not in scene.words
 
 
+def test_the_preview_says_what_is_missing_then_shows_figures() -> None:
+    nothing = drawn(panel("HNF_PT_preview"))
+    assert nothing is not None
+    assert "draw a stroke" in nothing.words.replace("\n", " ")
+    stroke = add_stroke("Rub", add_plane())
+    PREVIEW.facts[stroke.name] = PreviewFacts(stroke.name, problem="Not baked yet.")
+    STATE.strokes[stroke.name] = StrokeStatus(Freshness.UNBAKED)
+    unbaked = drawn(panel("HNF_PT_preview"))
+    assert unbaked is not None
+    assert "Bake this stroke" in unbaked.words
+    assert "Not baked yet." not in unbaked.words
+    STATE.strokes[stroke.name] = StrokeStatus(Freshness.FRESH)
+    PREVIEW.facts[stroke.name] = PreviewFacts(stroke.name, 1.2, playing=True, has_kept=True, lines=("peak 3 m/s²",))
+    playing = drawn(panel("HNF_PT_preview"))
+    assert playing is not None
+    assert "peak 3 m/s²" in playing.words
+    assert "hnf.preview_stop" in playing.operators
+    assert "hnf.preview_play" not in playing.operators
+    assert ("hnf.preview_ab", "action", "SWITCH") in playing.given
+
+
 def test_a_running_job_shows_its_stage_and_the_way_out() -> None:
     fill()
     STATE.job = JobStatus("Bake", "Close-ups", 3, 12, 4.0, 11.0)
