@@ -90,7 +90,7 @@ def draw_last_job(layout: Any, context: Any) -> None:
     if last is None:
         return
     box = layout.box() if not last.ok else layout.column(align=True)
-    box.alert = not last.ok
+    box.alert = not last.ok and not last.written  # half a success is no alarm
     paragraph(box, context, last.message, icon="CHECKMARK" if last.ok else "ERROR")
     for detail in last.details[:MOST_LINES]:
         paragraph(box, context, detail, icon="BLANK1")
