@@ -106,6 +106,9 @@ class HNF_OT_stroke_add(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
         if self.slot >= max(1, len(touched.material_slots)):
             self.report({"ERROR"}, f"'{touched.name}' has no material slot {self.slot}; the first is 0")
             return {"CANCELLED"}
+        window = context.window
+        if window is not None:
+            window.cursor_modal_set("WAIT")  # rays look for a place; a second on a dense mesh
         try:
             placed = place_primitive(
                 scene,
@@ -120,6 +123,9 @@ class HNF_OT_stroke_add(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
         except HnfError as error:
             self.report({"ERROR"}, one_line(error))
             return {"CANCELLED"}
+        finally:
+            if window is not None:
+                window.cursor_modal_restore()
         into_collection(placed.curve, scene)
         placed.curve.hnf_stroke.probe = probe_of(context, str(self.probe))
         make_active(context, placed.curve)
