@@ -160,10 +160,10 @@ def parse_hnf(data: bytes, where: str) -> MaterialFile:
         return MaterialFile(
             name=metadata["name"],
             token=Token(np.frombuffer(arrays["token"], "<f4").astype(np.float32), _flags(arrays["known"])),
-            mechanics=Mechanics(**_numbers(metadata["mechanics"], Mechanics)),
+            mechanics=Mechanics(**_numbers(dict(json.loads(metadata["mechanics"])), Mechanics)),
             category=metadata.get("category", ""),
-            words=tuple(str(word) for word in json.loads(metadata.get("words", "[]"))),
-            appearance=_appearance(metadata["appearance"]),
+            words=_words(metadata.get("words", "[]")),
+            appearance=_appearance(dict(json.loads(metadata["appearance"]))),
             licence=metadata.get("licence", ""),
         )
     except (ValueError, KeyError, TypeError, RecursionError, OverflowError, MaterialError) as error:
@@ -202,19 +202,24 @@ def _flags(data: bytes) -> np.ndarray[Any, np.dtype[np.bool_]]:
     return flags.astype(np.bool_)
 
 
-def _numbers(text: str, kind: type) -> dict[str, float | None]:
-    """The fields of a dataclass of numbers from JSON; what is not there is unknown, what is too much is refused."""
-    record: Mapping[str, Any] = json.loads(text)
+def _words(text: str) -> tuple[str, ...]:
+    words = json.loads(text)
+    if not isinstance(words, list):
+        raise ValueError("its words are no list")
+    return tuple(str(word) for word in words)
+
+
+def _numbers(record: Mapping[str, Any], kind: type) -> dict[str, float | None]:
+    """The fields of a dataclass of numbers; what is not there is unknown, what is too much is refused."""
     unknown = set(record) - {field.name for field in fields(kind)}
     if unknown:
         raise ValueError(f"{', '.join(sorted(unknown))} is not known here")
     return {name: None if value is None else float(value) for name, value in record.items()}
 
 
-def _appearance(text: str) -> Appearance:
-    record = dict(json.loads(text))
+def _appearance(record: dict[str, Any]) -> Appearance:
     colour = record.pop("base_color", None)
     if colour is not None:
         red, green, blue = (float(channel) for channel in colour)
         colour = (red, green, blue)
-    return Appearance(colour, **_numbers(json.dumps(record), Appearance))
+    return Appearance(colour, **_numbers(record, Appearance))

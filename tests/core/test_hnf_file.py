@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -151,6 +152,8 @@ BROKEN = {
     "an unknown property": lambda header: header["__metadata__"].update(mechanics='{"colour": 1.0}'),
     "roughness 2": lambda header: header["__metadata__"].update(appearance='{"roughness": 2.0}'),
     "two colour channels": lambda header: header["__metadata__"].update(appearance='{"base_color": [0, 1]}'),
+    "words that are one word": lambda header: header["__metadata__"].update(words='"oak"'),
+    "mechanics that are a list": lambda header: header["__metadata__"].update(mechanics="[1]"),
     "words that are no list": lambda header: header["__metadata__"].update(words="7"),
 }
 
@@ -165,6 +168,14 @@ def test_what_cannot_be_is_refused(name: str) -> None:
 def test_something_else_is_refused(data: bytes) -> None:
     with pytest.raises(FileError):
         parse_hnf(data, "else.hnf")
+
+
+@given(st.integers(0, len(OAK.to_bytes()) - 1), st.integers(0, 255))
+def test_whatever_byte_is_damaged_it_is_read_or_refused(place: int, value: int) -> None:
+    data = bytearray(OAK.to_bytes())
+    data[place] = value
+    with contextlib.suppress(FileError):
+        assert parse_hnf(bytes(data), "damaged.hnf").token.values.shape == (TOKEN_DIM,)
 
 
 def test_a_token_that_is_not_finite_is_refused() -> None:
