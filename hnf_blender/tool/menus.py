@@ -1,4 +1,4 @@
-"""Where strokes are found without the sidebar: Add > Touch Stroke, and the right click on a curve."""
+"""What is found without the sidebar: Add > Touch Stroke, the right click on a curve, File > Import."""
 
 from __future__ import annotations
 
@@ -40,10 +40,17 @@ def overlay_switch(self: Any, context: Any) -> None:
         self.layout.prop(held, "overlay", text="Touch Strokes")
 
 
+def import_menu(self: Any, _context: Any) -> None:
+    """Blender calls this while it draws File > Import: what a drop on the 3-D view does, from a file browser."""
+    self.layout.operator("hnf.import_material")
+    self.layout.operator("hnf.import_sound")
+
+
 PLACES = (
     ("VIEW3D_MT_add", add_menu),
     ("VIEW3D_MT_object_context_menu", object_menu),
     ("VIEW3D_PT_overlay", overlay_switch),
+    ("TOPBAR_MT_file_import", import_menu),
 )
 """Blender's own menus and panels, and what is added to the end of each."""
 
