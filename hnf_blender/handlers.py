@@ -58,7 +58,9 @@ def tick() -> float:
     windows = bpy.context.window_manager.windows
     if any(window.screen.is_animation_playing for window in windows):
         return INTERVAL_S
-    if not any(strokes_of(window.scene) for window in windows) or not is_ready():
+    if not (STATE.dirty or STATE.strokes):
+        return INTERVAL_S
+    if (STATE.strokes or any(strokes_of(window.scene) for window in windows)) and not is_ready():
         return INTERVAL_S
     if drain((window.scene, window.view_layer) for window in windows):
         redraw_tab()

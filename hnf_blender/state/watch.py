@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 EVERYTHING = "*"
 """In STATE.dirty: an undo, a redo or another file; nothing is known any more. No datablock is called so by Blender."""
 SETTINGS = ("start", "force", "progress", "law", "speed_mm_s", "duration_s", "seed", "probe", "material")
+AT_A_TIME = 8
 BUDGET_S = 0.04
 """No new look begins in a tick after this. One look, of the shape of 100,000 faces, may take as long again."""
 
@@ -32,6 +33,7 @@ class Watch:
         self._session: Session | None = None
         self._stamp: object = None
         self._settings: dict[str, object] = {}
+        self._choices: dict[str, str] = {}
         self.expect(EVERYTHING)
 
     @property
@@ -44,44 +46,56 @@ class Watch:
         if scene is None:
             self._pending.clear()
             return
-        names = set(changed) | self._quiet_changes(scene)
-        strokes = [obj for obj in scene.objects if obj.hnf_stroke.is_stroke]
+        names = set(changed) | self._quiet_changes()
         stamp = (scene.render.fps, scene.render.fps_base, *_scale(scene))
+        if not names and stamp == self._stamp:
+            return
+        strokes = [obj for obj in scene.objects if obj.hnf_stroke.is_stroke]
         if EVERYTHING in names or stamp != self._stamp:
             self._session, self._stamp = None, stamp
             for name in STATE.strokes.keys() - {obj.name for obj in strokes}:
                 del STATE.strokes[name]
             self._pending.update(dict.fromkeys(obj.name for obj in strokes))
             return
-        surfaces = {surface.name for surface in scene.objects if _concerns(surface, names)}
-        if _has_unknown(scene, names):
-            surfaces = {obj.name for obj in scene.objects if obj.type != "CURVE"}
+        surfaces = self._concerned_surfaces(strokes, names)
         if self._session is not None:
             self._session.forget(surfaces)
         for obj in strokes:
-            if _stroke_concerns(obj, names) or self._surface_of(obj) in surfaces or (surfaces and _is_free(obj)):
+            own = _stroke_concerns(obj, names)
+            if own or self._surface_of(obj) in surfaces or obj.hnf_stroke.surface is None:
                 self._pending[obj.name] = None
         for name in names & STATE.strokes.keys():
             if scene.objects.get(name) is None:
                 del STATE.strokes[name]
 
-    def _quiet_changes(self, scene: Any) -> set[str]:
-        """Names of strokes and materials whose own settings changed: scripts do that without telling Blender."""
+    def _concerned_surfaces(self, strokes: list[Any], names: set[str]) -> set[str]:
+        """Names of surfaces that may look or feel different, where datablocks of these names changed."""
         import bpy
 
-        now: dict[str, object] = {}
-        for obj in scene.objects:
-            if obj.hnf_stroke.is_stroke:
-                group, surface = obj.hnf_stroke, obj.hnf_stroke.surface
-                now[obj.name] = (
-                    *(getattr(group, name) for name in SETTINGS),
-                    None if surface is None else surface.name,
-                )
-        for material in bpy.data.materials:
-            if material.hnf_touch.library:
-                now[material.name] = material.hnf_touch.library
-        before, self._settings = self._settings, now
-        return {name for name in now.keys() | before.keys() if now.get(name) != before.get(name)}
+        known = {self._surface_of(obj) for obj in strokes}
+        known |= set() if self._session is None else self._session.known
+        if _has_unknown(names):
+            return known
+        found = {name: bpy.data.objects.get(name) for name in known}
+        return {name for name, obj in found.items() if obj is None or _concerns(obj, names)}
+
+    def _quiet_changes(self) -> set[str]:
+        """Names of strokes and materials whose own settings changed: scripts do that without telling Blender. A few
+        strokes a time: finding them by name takes time where there are many objects."""
+        import bpy
+
+        changed = set()
+        for name in list(self._settings)[:AT_A_TIME]:
+            before = self._settings.pop(name)  # and to the end of the queue
+            obj = bpy.data.objects.get(name)
+            if obj is not None:
+                self._settings[name] = _settings(obj)
+            if obj is None or self._settings[name] != before:
+                changed.add(name)
+        choices = {each.name: each.hnf_touch.library for each in bpy.data.materials if each.hnf_touch.library}
+        changed |= {name for name, _ in choices.items() ^ self._choices.items()}
+        self._choices = choices
+        return changed
 
     def only(self, names: set[str]) -> None:
         """Leave out whatever else is pending."""
@@ -107,6 +121,7 @@ class Watch:
                 if session.knows(surface):
                     return False
             status = _status(session, obj)
+            self._settings[name] = _settings(obj)
         del self._pending[name]
         changed = STATE.strokes.get(name) != status
         STATE.strokes[name] = status
@@ -204,8 +219,6 @@ def _scale(scene: Any) -> tuple[object, ...]:
 
 def _concerns(obj: Any, names: set[str]) -> bool:
     """May the object's surface look or feel different where datablocks of these names changed?"""
-    if obj.type == "CURVE" and obj.hnf_stroke.is_stroke:
-        return False
     if obj.name in names or (obj.data is not None and obj.data.name in names):
         return True
     return any(slot.material is not None and slot.material.name in names for slot in obj.material_slots)
@@ -216,11 +229,13 @@ def _stroke_concerns(obj: Any, names: set[str]) -> bool:
     return obj.name in names or obj.data.name in names or (action is not None and action.name in names)
 
 
-def _is_free(obj: Any) -> bool:
-    return obj.hnf_stroke.surface is None
+def _settings(obj: Any) -> tuple[object, ...]:
+    """What a stroke is set to, apart from its keys."""
+    group, surface = obj.hnf_stroke, obj.hnf_stroke.surface
+    return (*(getattr(group, name) for name in SETTINGS), None if surface is None else surface.name)
 
 
-def _has_unknown(scene: Any, names: set[str]) -> bool:
+def _has_unknown(names: set[str]) -> bool:
     """Is a name among them that says nothing of whom it concerns (an image, a node group)?"""
     import bpy
 

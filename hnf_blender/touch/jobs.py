@@ -141,6 +141,11 @@ class Session:
         """Are its facts there already?"""
         return obj.name in self._facts
 
+    @property
+    def known(self) -> set[str]:
+        """Names of the objects that were looked at."""
+        return {*self._facts, *self._surfaces}
+
     def forget(self, names: set[str]) -> None:
         """These objects changed: look at them again."""
         for kept in (self._surfaces, self._touched, self._facts):
