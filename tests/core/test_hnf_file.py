@@ -18,6 +18,7 @@ from hnf_core.material.hnf_file import (
     FORMAT,
     LARGEST,
     MaterialFile,
+    completed,
     from_library,
     parse_hnf,
     read_hnf,
@@ -101,6 +102,15 @@ def test_what_is_not_known_comes_from_the_library() -> None:
     assert np.array_equal(whole.token[band_slice(2)], OAK.token.values[band_slice(2)])
     assert np.array_equal(whole.token[~known], prior.token[~known])
     assert whole.mechanics == replace(prior.mechanics, friction=0.9)
+
+
+def test_left_alone_it_is_completed_from_what_its_words_mean() -> None:
+    nothing = Token(np.zeros(TOKEN_DIM, np.float32), np.zeros(TOKEN_DIM, bool))
+    whole = completed(MaterialFile("Grandmother's table", nothing, Mechanics(friction=0.5), "wood", ("oak",)))
+    oak = find("oak-wood")
+    assert np.array_equal(whole.token, oak.token)
+    assert whole.mechanics == replace(oak.mechanics, friction=0.5)
+    assert whole.name == "Grandmother's table"
 
 
 @pytest.mark.parametrize("cut", [0, 4, 8, 100, -1])
