@@ -15,9 +15,9 @@ from .work import is_done, scene_session
 
 START_SECONDS = 4.0
 """For a second Blender to be there, with the copy open."""
-STROKE_BYTES, SECOND_BYTES = 6_000, 9_000
-"""A stored bake: what it takes at least, and more for every second of its stroke."""
-FACE_BYTES, PALETTE_BYTES = 12, 3_000
+STROKE_BYTES, METRE_BYTES, SECOND_BYTES = 4_000, 130_000, 1_500
+"""A stored bake: what it takes at least, for the height under its path, for its action. Within a tenth, as measured."""
+FACE_BYTES, PALETTE_BYTES = 12, 1_000
 
 
 def make_plan(scene: Any, view_layer: Any) -> PlanView:
@@ -59,7 +59,8 @@ def _bytes_after(session: Session, found: Gathered, needed: list[Job]) -> int:
     for job in found.jobs:
         stored = stored_bytes(session.scene.objects[job.curve_name])
         if job in needed and job.stroke is not None:
-            stored = int(STROKE_BYTES + SECOND_BYTES * float(job.stroke.samples.time[-1]))
+            seconds = float(job.stroke.samples.time[-1])
+            stored = int(STROKE_BYTES + METRE_BYTES * job.stroke.length_m + SECOND_BYTES * seconds)
         total += stored
     touched = {job.object_name: session.scene.objects[job.object_name] for job in found.jobs}
     meshes = {obj.data.name_full: obj.data for obj in touched.values() if obj.type == "MESH"}

@@ -56,7 +56,7 @@ def test_the_size_is_known_before_it_is_kept() -> None:
     small_scene()
     expected = plan().bytes_after
     bpy.ops.hnf.bake()
-    assert expected == pytest.approx(size_kept(), rel=0.6)
+    assert expected == pytest.approx(size_kept(), rel=0.3)
 
 
 def test_a_plan_says_why_something_is_stale_and_that_force_needs_nothing() -> None:
