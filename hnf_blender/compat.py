@@ -105,6 +105,12 @@ def own_action(animated: Any) -> None:
         animation.action_slot = next(slot for slot in animation.action.slots if slot.identifier == identifier)
 
 
+def show_in_sequencer(workspace: Any, scene: Any) -> None:
+    """Let the workspace's sequencers show a scene where they show none yet; up to 4.5 they show the window's."""
+    if workspace is not None and hasattr(workspace, "sequencer_scene") and workspace.sequencer_scene is None:
+        workspace.sequencer_scene = scene
+
+
 def sequencer_strips(editor: Any) -> Any:
     """The strips of a sequence editor; called sequences up to 4.3."""
     return editor.strips if hasattr(editor, "strips") else editor.sequences

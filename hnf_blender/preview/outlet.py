@@ -76,7 +76,7 @@ def add_strip(obj: Any, context: Any) -> Any:
     same stroke. Its file is the exported WAV."""
     import bpy
 
-    from ..compat import sequencer_strips
+    from ..compat import sequencer_strips, show_in_sequencer
 
     path, scene = write_wav_of(obj, context), context.scene
     editor = scene.sequence_editor or scene.sequence_editor_create()
@@ -99,6 +99,7 @@ def add_strip(obj: Any, context: Any) -> Any:
     strip.channel, strip.name = channel, obj.name
     strip[STROKE_PROPERTY] = obj.name
     strip.volume = monitor_factor(scene.hnf.monitor_gain_db)
+    show_in_sequencer(getattr(context, "workspace", None), scene)
     return strip
 
 

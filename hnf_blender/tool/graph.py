@@ -9,6 +9,10 @@ from .. import compat
 
 SHARE = 0.38
 """Of the 3-D view's height, where an area must be split off for it."""
+FLAT_N = 0.05
+"""A curve that varies by less is framed as a line without a scale..."""
+FLAT_OUT = -0.4995
+"""... and this zooms out a thousandfold, to about a newton above and below."""
 SETTLED_S = 0.1
 """A new area has no size before the next redraw; only then can its curve be fitted in."""
 
@@ -32,8 +36,8 @@ def show_curve(context: Any, obj: Any, data_path: str) -> None:
     space.dopesheet.show_hidden = False
     space.use_normalization = False
     area.tag_redraw()
-    place = list(window.screen.areas).index(area)
-    bpy.app.timers.register(partial(_fit, window.screen.name, place), first_interval=SETTLED_S)
+    fit = partial(_fit, window.screen.name, list(window.screen.areas).index(area), _is_flat(obj, data_path))
+    bpy.app.timers.register(fit, first_interval=SETTLED_S)
 
 
 def _graph_area(context: Any, window: Any) -> Any:
@@ -53,8 +57,14 @@ def _graph_area(context: Any, window: Any) -> Any:
     return min(pair, key=lambda area: area.y)
 
 
-def _fit(screen_name: str, place: int) -> None:
-    """Timer, once: frame the whole curve."""
+def _is_flat(obj: Any, data_path: str) -> bool:
+    curves = [curve for curve in compat.fcurves_of(obj) if curve.data_path == data_path]
+    values = [point.co[1] for curve in curves for point in curve.keyframe_points]
+    return bool(values) and max(values) - min(values) < FLAT_N
+
+
+def _fit(screen_name: str, place: int, flat: bool) -> None:
+    """Timer, once: frame the whole curve, with room to drag a flat one."""
     import bpy
 
     for window in bpy.context.window_manager.windows:
@@ -64,4 +74,19 @@ def _fit(screen_name: str, place: int) -> None:
         region = next((region for region in area.regions if region.type == "WINDOW"), None)
         if area.type == "GRAPH_EDITOR" and region is not None:
             with bpy.context.temp_override(window=window, area=area, region=region):
-                bpy.ops.graph.view_all(include_handles=False)
+                _frame_all(flat)
+
+
+def _frame_all(flat: bool) -> None:
+    """At once, not smoothly: the second step starts where the first one ends."""
+    import bpy
+
+    preferences = bpy.context.preferences
+    smooth, was_dirty = preferences.view.smooth_view, preferences.is_dirty
+    try:
+        preferences.view.smooth_view = 0
+        bpy.ops.graph.view_all(include_handles=False)
+        if flat:
+            bpy.ops.view2d.zoom_out(zoomfacx=0.0, zoomfacy=FLAT_OUT)
+    finally:
+        preferences.view.smooth_view, preferences.is_dirty = smooth, was_dirty

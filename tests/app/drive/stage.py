@@ -56,10 +56,11 @@ class Stage:
             yield TICK_S
         self.expect(what, True)
 
-    def photograph(self, name: str) -> Path:
-        """The whole screen as it is drawn now, to folder/NAME.png."""
+    def photograph(self, name: str, part: Sequence[int] = ()) -> Path:
+        """The screen as it is drawn now, to folder/NAME.png. part: left, top, width, height of it [pixels]."""
         path = self.folder / f"{name}.png"
-        subprocess.run(["scrot", "-o", str(path)], check=True, timeout=30)
+        of = ["-a", ",".join(map(str, part))] if part else []
+        subprocess.run(["scrot", "-o", *of, str(path)], check=True, timeout=30)
         return path
 
     def picture(self, name: str, settle: float = 0.6) -> Waits:
@@ -179,9 +180,10 @@ class Stage:
         """Let Blender play to a device that goes nowhere, in real time (see App.window); its name, "None" = there is
         none."""
         system = bpy.context.preferences.system
-        offered = [item.identifier for item in system.bl_rna.properties["audio_device"].enum_items]
-        for name in ("OpenAL", "SDL"):
-            if name in offered:
+        for name in ("OpenAL", "SDL", "PulseAudio"):
+            try:
                 system.audio_device = name
-                return name
-        return "None"
+            except TypeError:  # this Blender is built without it
+                continue
+            return name
+        return str(system.audio_device)

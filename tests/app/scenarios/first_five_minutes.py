@@ -27,6 +27,7 @@ def check_the_zip_installs(stage):
         )
     yield from stage.until("it is on", lambda: hasattr(bpy.types.Scene, "hnf"), 60.0)
     stage.expect("strokes can be made", hasattr(bpy.types.Object, "hnf_stroke"))
+    bpy.ops.wm.save_userpref()  # as Blender does by itself when it is left
 
 
 def check_the_tab_says_what_to_do(stage):

@@ -3,20 +3,27 @@
 import bpy
 from drive import scenery
 from drive.addon import baked, freshness, heard, ours, strokes
+from drive.timing import Spent
 
 SCREEN = "1280x1100"
 FRAMES = 48
 
 
 def overlay_pixels(stage, name):
-    """A photograph of the 3-D view, and its bytes for comparing."""
-    yield 0.3
-    stage.memory[name] = stage.photograph(name).read_bytes()
+    """A photograph of the surface as the overlay draws on it, and its bytes for comparing."""
+    yield from stage.drawn("WINDOW")
+    yield 0.2
+    at, reach = stage.seen_at((0.0, 0.0, 0.0)), 0.045
+    right, top = stage.seen_at((reach, reach, 0.0))
+    half = (right - at[0], top - at[1])
+    height = stage.window().height
+    part = (at[0] - half[0], height - at[1] - half[1], 2 * half[0], 2 * half[1])
+    stage.memory[name] = stage.photograph(name, part).read_bytes()
 
 
 def check_a_baked_scene(stage):
     scenery.empty_room()
-    yield 0.5
+    yield from stage.drawn("WINDOW")
     plate = scenery.plate(size_m=0.12)
     scenery.stroke_on(plate, "Along", 0.06, seconds=1.5)
     scene = bpy.context.scene
@@ -72,9 +79,12 @@ def check_playback_sounds_and_moves_on(stage):
 
 
 def check_scrubbing_through_all_frames(stage):
-    for frame in range(1, FRAMES + 1):
-        bpy.context.scene.frame_set(frame)
-        yield 0.01
+    with Spent() as spent:
+        for frame in range(1, FRAMES + 1):
+            bpy.context.scene.frame_set(frame)
+            yield 0.01
+    stage.measured("scrubbing: time in our own calls", 1e3 * sum(map(sum, spent.calls.values())) / FRAMES, "ms a frame")
+    stage.measured(f"scrubbing: longest single call ({spent.longest_name})", 1e3 * spent.longest, "ms")
     with stage.over():
         bpy.ops.screen.frame_jump(end=False)
     yield 0.2
@@ -100,6 +110,7 @@ def check_into_the_sequencer(stage):
     area = stage.area("DOPESHEET_EDITOR")
     area.type = "SEQUENCE_EDITOR"
     yield 0.6
+    stage.expect("the sequencer shows this scene", stage.window().workspace.sequencer_scene == bpy.context.scene)
     with stage.over("SEQUENCE_EDITOR"):
         bpy.ops.sequencer.view_all()
     yield from stage.picture("sequencer", settle=1.0)
