@@ -8,7 +8,7 @@ import bpy
 
 from ..props.scene import active_stroke, strokes_of
 from ..translations import tr
-from .layout import TouchPanel, hint, side_by_side
+from .layout import TouchPanel, hint, paragraph, side_by_side
 
 
 class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801  # bpy has no types
@@ -23,6 +23,8 @@ class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa:
         layout.prop(scene.hnf, "export_folder", text="")
         if not bpy.data.filepath and scene.hnf.export_folder.startswith("//"):
             hint(layout, context, tr("Save the .blend first, or choose a folder: // means the folder of the .blend"))
+        else:  # Blender paints a folder red that is not there yet
+            paragraph(layout, context, tr("Made at the first export if it is not there"), icon="BLANK1")
         row = side_by_side(layout, context)
         row.operator("hnf.export_wav", text="This Stroke", icon="FILE_SOUND").all = False
         row.operator("hnf.export_wav", text="All", icon="EXPORT").all = True
