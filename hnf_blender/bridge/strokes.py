@@ -31,7 +31,7 @@ from hnf_core.units import mm_to_m, seconds_to_frame
 
 from ..props.stroke import FORCE_MAX_N
 from .channels import Channel, read_channel, sample_channels
-from .meshes import Surface, surface_frame, surface_mesh
+from .meshes import Surface, evaluated_mesh, surface_frame, surface_mesh
 from .nearest_surface import nearest_surface
 from .over_time import is_moving, may_deform, shape_over_time, world_matrices
 from .splines import read_curve
@@ -95,6 +95,8 @@ def read_stroke(
     surfaces = surfaces or (lambda touched: surface_mesh(touched, depsgraph, metres_per_unit))
     curve = read_curve(obj)
     target = _surface_object(obj, scene, depsgraph, curve, surfaces, metres_per_unit, where)
+    with evaluated_mesh(target.evaluated_get(depsgraph), depsgraph):
+        pass  # there is something to touch; its triangles are needed only where it deforms
     fps, base = float(scene.render.fps), float(scene.render.fps_base)
     start = float(group.start)
 
