@@ -10,7 +10,7 @@ from .facts import PREVIEW, PreviewFacts, preview_facts, preview_icon
 
 __all__ = ["PreviewFacts", "preview_facts", "preview_icon"]
 
-INTERVAL_S = 0.1
+INTERVAL_S = 0.04
 HANDLERS = (
     ("animation_playback_pre", timeline.playback_begins),
     ("animation_playback_post", timeline.playback_ends),
