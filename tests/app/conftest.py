@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import build_extension
 import pytest
 
-from .session import CHROOT, HERE, App, Played, play
+from .session import CHROOT, HERE, App, Played, constant_of, play, scenarios
 
 UNAVAILABLE = 3  # exit code of tools/chroot_blender.sh where this machine cannot have it
 
@@ -58,20 +59,39 @@ def scene(app: App) -> str:
 
 
 PLAYED: dict[str, Played] = {}
+AT_ONCE = 2
+"""Sessions side by side: most of a session is waiting for redraws, a bake's second process and its own pauses."""
 
 
 @pytest.fixture(scope="session")
-def played(app: App, scene: str, record_testsuite_property: Callable[[str, object], None]) -> Callable[[str], Played]:
-    """Scenario → what its one session in a window brought back; played when first asked for."""
+def played(
+    app: App,
+    scene: str,
+    request: pytest.FixtureRequest,
+    record_testsuite_property: Callable[[str, object], None],
+) -> Iterator[Callable[[str], Played]]:
+    """Scenario → what its one session in a window brought back.
 
-    def of(scenario: str) -> Played:
-        if scenario not in PLAYED:
-            PLAYED[scenario] = play(app, scenario)
-            if len(PLAYED) == 1:
-                record_testsuite_property("blender", PLAYED[scenario].version)
-        return PLAYED[scenario]
+    All that the collected tests need are played from the first request on: those that measure time alone, then the
+    others side by side.
+    """
+    wanted = [name for name in scenarios() if any(name in item.name for item in request.session.items)]
+    alone = [name for name in wanted if constant_of(name, "ALONE", "no") == "yes"]
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        for name in alone:
+            PLAYED[name] = play(app, name)
+        others = {name: pool.submit(play, app, name) for name in wanted if name not in alone}
 
-    return of
+        def of(scenario: str) -> Played:
+            if scenario not in PLAYED:
+                PLAYED[scenario] = others[scenario].result()
+            return PLAYED[scenario]
+
+        yield of
+        for future in others.values():
+            future.cancel()
+    for version in sorted({played.version for played in PLAYED.values()}):
+        record_testsuite_property("blender", version)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -47,9 +47,11 @@ class App:
 
     def run(self, *command: str, timeout: float = 120.0) -> Finished:
         """Run a command inside; it and all it started are ended when it takes too long (code −9)."""
-        (self.share / "tmp").mkdir(exist_ok=True)  # on the host's side, so that a crash report survives the run
-        inside = ["env", "HOME=/share/home", f"BLENDER_USER_RESOURCES=/share/{self.profile}", "TMPDIR=/share/tmp"]
-        inside += command
+        # One for each: runs side by side have process numbers of their own, and go by those to tell whose folder it is.
+        temporary = f"tmp-{self.profile}"
+        (self.share / temporary).mkdir(exist_ok=True)
+        places = ["HOME=/share/home", f"BLENDER_USER_RESOURCES=/share/{self.profile}", f"TMPDIR=/share/{temporary}"]
+        inside = ["env", *places, *command]
         process = subprocess.Popen(
             [str(CHROOT), "run", *inside],
             env=os.environ | {"HNF_CHROOT_SHARE": str(self.share)},
@@ -173,7 +175,7 @@ def play(app: App, scenario: str) -> Played:
         timeout=PLAY_LIMIT_S,
     )
     (folder / "blender.log").write_text(finished.output, encoding="utf-8")
-    for report in (app.share / "tmp").glob("*.crash.txt"):
+    for report in (app.share / f"tmp-{person.profile}").glob("*.crash.txt"):
         report.rename(folder / "crash.txt")
     keep(folder, PICTURES / scenario)
     return read_played(scenario, folder, finished)

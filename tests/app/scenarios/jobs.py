@@ -9,6 +9,7 @@ from drive import scenery
 from drive.addon import baked, children, job_folders, kept, start_bake, state, strokes
 from drive.timing import Spent
 
+ALONE = "yes"  # it measures
 LONG_S = 2.0  # four times what is promised: this may run on a busy machine
 QUICK = 0.005
 BEGUN = "its first words"
