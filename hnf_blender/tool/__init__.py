@@ -3,7 +3,11 @@ keymaps and menus belong to one."""
 
 from __future__ import annotations
 
+import importlib
 from types import ModuleType
+
+PARTS = (".stroke_tool", ".menus", "..ui.overlay")
+"""Modules with register() and unregister(), in order."""
 
 _registered: list[ModuleType] = []
 
@@ -13,10 +17,8 @@ def register() -> None:
 
     if bpy.app.background:
         return
-    from ..ui import overlay
-    from . import menus, stroke_tool
-
-    for part in (stroke_tool, menus, overlay):
+    for name in PARTS:
+        part = importlib.import_module(name, __package__)
         part.register()
         _registered.append(part)
 
