@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_core.action.primitives import PlanarPath, path_curve
+from hnf_core.action.primitive_path import PlanarPath, path_curve
 from hnf_core.material.material import LibraryMaterial
 from hnf_core.simulation.surface import TILE_PIXELS, TILE_SIZE_M, SurfaceRecipe, height_map
 

@@ -26,7 +26,8 @@ from asset_previews import material_preview, stroke_preview  # noqa: E402
 from hnf_blender import props  # noqa: E402
 from hnf_blender.bridge.own_material import give_look  # noqa: E402
 from hnf_blender.bridge.placement import place_primitive  # noqa: E402
-from hnf_core.action.primitives import PRIMITIVES, Primitive, primitive_path  # noqa: E402
+from hnf_core.action.primitive_path import primitive_path  # noqa: E402
+from hnf_core.action.primitives import PRIMITIVES, Primitive  # noqa: E402
 from hnf_core.files import write_text  # noqa: E402
 from hnf_core.material.library import load_library  # noqa: E402
 from hnf_core.material.material import LibraryMaterial  # noqa: E402

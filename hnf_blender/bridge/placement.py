@@ -12,15 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from hnf_core.action.bezier import smooth_curve, smooth_handles
 from hnf_core.action.curves import by_arc_length
 from hnf_core.action.placing import MARGIN, OPENNESS_M, Spot, fits, in_space, lay, spots
-from hnf_core.action.primitives import (
-    DEFAULT_DOWN,
-    DEFAULT_PRIMITIVE,
-    Primitive,
-    find_primitive,
-    path_curve,
-    primitive_keys,
-    primitive_path,
-)
+from hnf_core.action.primitive_path import path_curve, primitive_keys, primitive_path
+from hnf_core.action.primitives import DEFAULT_DOWN, DEFAULT_PRIMITIVE, Primitive, find_primitive
 from hnf_core.errors import SceneError
 from hnf_core.scene.raycast import Hits, RayCaster
 

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from ..action.action import Action
-from ..action.primitives import PRIMITIVES, primitive_action
+from ..action.primitive_path import primitive_action
+from ..action.primitives import PRIMITIVES
 from ..action.table import read_action_csv
 from ..action.words import primitive_of
 from ..errors import UsageError

@@ -8,7 +8,8 @@ from typing import Literal
 import numpy as np
 
 from ..action.action import ACTION_RATE_HZ, Action
-from ..action.primitives import PRIMITIVE_NAMES, primitive_action
+from ..action.primitive_path import primitive_action
+from ..action.primitives import PRIMITIVE_NAMES
 from ..action.smooth import circular_action, steady_action, wandering_action
 from ..datasets.dataset import ActionRange
 

@@ -13,7 +13,8 @@ from builders import add_plane
 from stroke_builders import act
 
 from hnf_blender.ops.assets import FOLDER, NAME, asset_library
-from hnf_core.action.primitives import PRIMITIVES, primitive_path
+from hnf_core.action.primitive_path import primitive_path
+from hnf_core.action.primitives import PRIMITIVES
 from hnf_core.material.library import find, load_library
 
 pytestmark = pytest.mark.usefixtures("operators")

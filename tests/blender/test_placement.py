@@ -14,7 +14,8 @@ from hnf_blender.bridge.placement import default_slots, place_primitive, touchab
 from hnf_blender.bridge.strokes import read_stroke, stroke_objects
 from hnf_core.action.contacts import find_contacts
 from hnf_core.action.patches import action_from_contacts, plan_patches
-from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES, primitive_action
+from hnf_core.action.primitive_path import primitive_action
+from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES
 from hnf_core.errors import SceneError
 
 HELMET = Path(__file__).resolve().parents[2].parent / "shared/data/scenes/FlightHelmet/FlightHelmet.gltf"

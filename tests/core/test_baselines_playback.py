@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hnf_core.action.primitives import primitive_action
+from hnf_core.action.primitive_path import primitive_action
 from hnf_core.action.smooth import steady_action, wandering_action
 from hnf_core.baselines.by_duration import by_duration
 from hnf_core.baselines.method import Specimen

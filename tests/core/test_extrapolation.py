@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
-from hnf_core.action.primitives import PRIMITIVE_NAMES, primitive_action
+from hnf_core.action.primitive_path import primitive_action
+from hnf_core.action.primitives import PRIMITIVE_NAMES
 from hnf_core.action.smooth import circular_action, steady_action, wandering_action
 from hnf_core.errors import StrokeError
 from hnf_core.field.extrapolation import examine

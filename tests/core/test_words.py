@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES, primitive_action
+from hnf_core.action.primitive_path import primitive_action
+from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES
 from hnf_core.action.words import FORCE_LIMITS_N, SPEED_LIMITS_M_S, primitive_of
 from hnf_core.errors import UsageError
 

@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES, primitive_action
+from hnf_core.action.primitive_path import primitive_action
+from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES
 from hnf_core.action.words import primitive_of
 from hnf_core.cli.main import build_parser, main
 from hnf_core.cli.touch import request_from

@@ -1,0 +1,139 @@
+"""Primitives as paths with keys of progress and force, and as actions on a flat surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import UsageError
+from .action import ACTION_RATE_HZ, Action
+from .bezier import smooth_curve
+from .curves import ArcCurve, by_arc_length
+from .keys import Keys, eased_travel
+from .primitives import Primitive, find_primitive
+
+Float = NDArray[np.float64]
+
+SCRAPE_LENGTH_M = 60e-3
+RUB_EXTENT_M = 30e-3
+RUB_DURATION_S = 2.0
+PRESS_S = 0.1
+"""Onset and release of the force; half of each overlaps the motion."""
+RAMP_S = 0.1
+SCRAPE_KNOTS = 25
+MIN_SIZE_M = 1e-4
+
+
+@dataclass(frozen=True)
+class PlanarPath:
+    """A primitive in a tangent plane.
+
+    points: (k, 2) m, knots of a smooth Bézier spline (bezier.smooth_curve), the middle of the surface at 0.
+    cyclic: whether it closes. progress: keys 0–1 of arc length. force: keys in N. duration_s: s. extent_m: the path
+    lies within a disc of this diameter around 0.
+    """
+
+    points: Float
+    cyclic: bool
+    progress: Keys
+    force: Keys
+    duration_s: float
+    extent_m: float
+
+
+def primitive_path(primitive: Primitive | str, *, size_m: float = SCRAPE_LENGTH_M, seed: int = 0) -> PlanarPath:
+    """A primitive as a path that fits in a disc of diameter size_m; a smaller surface gives a shorter scrape, or a
+    rub of more and smaller rounds, at the same speed and force.
+
+    seed: shape of a rub (scrapes ignore it). Raises UsageError for an unknown name or a size below 0.1 mm.
+    """
+    primitive = find_primitive(primitive) if isinstance(primitive, str) else primitive
+    if not size_m >= MIN_SIZE_M:
+        raise UsageError(f"a stroke cannot fit in {size_m * 1e3:g} mm.", remedy="Choose a larger surface.")
+    if primitive.kind == "scrape":
+        extent = min(size_m, SCRAPE_LENGTH_M)
+        points = np.linspace(-extent / 2, extent / 2, SCRAPE_KNOTS)[:, None] * np.array(primitive.direction)
+        distance = extent
+    else:
+        distance = primitive.speed * (RUB_DURATION_S - PRESS_S - RAMP_S)
+        extent = min(size_m, RUB_EXTENT_M)
+        points = _rub_points(distance, extent, np.random.default_rng(seed))
+    progress, force, duration = primitive_keys(primitive, distance)
+    return PlanarPath(points, primitive.kind == "rub", progress, force, duration, extent)
+
+
+def primitive_keys(primitive: Primitive, distance_m: float) -> tuple[Keys, Keys, float]:
+    """Keys of progress (0–1) and force (N), and the duration (s), of a primitive on a path of this length."""
+    travel = eased_travel(distance_m, primitive.speed, RAMP_S, start_s=PRESS_S / 2)
+    progress = Keys(travel.time, travel.value / distance_m, travel.slope / distance_m)
+    duration = float(travel.time[-1]) + PRESS_S / 2
+    press = min(PRESS_S, duration / 2)
+    keep = [0, 1, 2, 3] if duration - 2 * press > 1e-9 else [0, 1, 3]
+    force = Keys(
+        np.array([0.0, press, duration - press, duration])[keep],
+        np.array([0.0, primitive.force, primitive.force, 0.0])[keep],
+        np.zeros(len(keep)),
+    )
+    return progress, force, duration
+
+
+def _rub_points(distance: float, extent: float, rng: np.random.Generator) -> Float:
+    """Closed wandering rounds of exactly this arc length inside a disc: as few rounds as reach the length."""
+    phase = rng.uniform(0.0, 2 * np.pi, size=(3, 3))
+    squeeze, tilt = rng.uniform(0.6, 1.0), rng.uniform(0.0, np.pi)
+    handed = rng.choice([-1.0, 1.0])
+    turn = np.array([[np.cos(tilt), -np.sin(tilt)], [np.sin(tilt), np.cos(tilt)]])
+    order = np.arange(1.0, 4.0)
+    rounds = 2
+    while rounds < 10_000:
+        t = np.linspace(0.0, 2 * np.pi, 12 * rounds, endpoint=False)
+        wander = (np.cos(order[:, None] * t + phase[:, :, None]) / order[:, None]).sum(axis=1) / 3
+        angle = handed * rounds * t + 0.5 * wander[2]
+        loop = np.stack([np.cos(angle) * (1 + 0.3 * wander[0]), squeeze * np.sin(angle) * (1 + 0.3 * wander[1])], 1)
+        loop = (loop + 0.35 * np.stack([wander[1], wander[0]], 1)) @ turn.T
+        arc = by_arc_length(smooth_curve(loop, cyclic=True))
+        dense = arc.point_at(np.linspace(0.0, arc.length, 40 * rounds))
+        centre = (dense.min(axis=0) + dense.max(axis=0)) / 2
+        reach = 1.001 * float(np.linalg.norm(dense - centre, axis=1).max())
+        fitting = arc.length * extent / 2 / reach
+        if fitting >= distance:
+            return np.asarray((loop - centre) * (distance / arc.length))
+        # Length grows about in step with the rounds: far from it, half of what is missing is skipped.
+        rounds = max(rounds + 1, int(0.5 * rounds * distance / fitting))
+    raise UsageError(
+        f"a rub of {distance * 1e3:g} mm does not fit in {extent * 1e3:g} mm.", remedy="Choose a larger surface."
+    )
+
+
+def path_curve(path: PlanarPath) -> ArcCurve:
+    """The path as a curve by arc length, (·, 2) metres."""
+    return by_arc_length(smooth_curve(path.points, cyclic=path.cyclic))
+
+
+def primitive_action(
+    primitive: Primitive | str,
+    *,
+    rate: float = ACTION_RATE_HZ,
+    seed: int = 0,
+    size_m: float = SCRAPE_LENGTH_M,
+    probe: str = "pen",
+) -> Action:
+    """u(t) of a primitive on a flat surface whose tangent is +x, sampled at rate [Hz]. Raises UsageError."""
+    path = primitive_path(primitive, size_m=size_m, seed=seed)
+    curve = path_curve(path)
+    time = np.arange(int(np.ceil(path.duration_s * rate - 1e-9)) + 1) / rate
+    progress, slope = path.progress.sample(time)
+    progress = np.clip(progress, 0.0, 1.0)
+    force = np.maximum(path.force.sample(time)[0], 0.0)
+    position = progress * curve.length
+    return Action(
+        rate=rate,
+        direction=curve.tangent_at(position),
+        speed=np.abs(slope) * curve.length,
+        force=force,
+        position=position,
+        contact=force > 0.0,
+        probe=probe,
+    )
