@@ -15,7 +15,7 @@ WORDS = {
     "shape": "the shape of the surface",
     "shading": "the materials of the surface",
     "choices": "a material choice",
-    PATH: "its path, timing or surface",
+    PATH: "its path or timing",
     TOUCH: "its force, seed or probe",
 }
 
