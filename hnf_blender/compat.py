@@ -13,6 +13,13 @@ def version() -> tuple[int, int, int]:
     return int(major), int(minor), int(patch)
 
 
+def version_text() -> str:
+    """For a person: "5.2.2 LTS"."""
+    import bpy
+
+    return str(bpy.app.version_string)
+
+
 def use_multilayer_exr(render: Any) -> None:
     """Make the render output itself a float32 multilayer EXR; no compositor is then needed for the passes."""
     settings = render.image_settings

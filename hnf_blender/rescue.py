@@ -37,10 +37,10 @@ def plain_words(error: Exception) -> str:
 
 def report(error: Exception) -> str:
     """Versions, place and traceback, for whoever helps."""
-    import bpy
+    from .compat import version_text
 
     rows = (
-        ("Blender", bpy.app.version_string),
+        ("Blender", version_text()),
         ("Python", platform.python_version()),
         ("System", f"{platform.system()} {platform.release()} {platform.machine()}"),
         ("Add-on folder", str(Path(__file__).resolve().parent)),

@@ -14,6 +14,7 @@ from hnf_core import __version__
 from hnf_core.errors import HnfError
 from hnf_core.material.token import ENCODER_ID
 
+from .. import compat
 from ..state.folders import cache_folder
 from ..state.session import STATE
 from ..translations import tr
@@ -26,7 +27,7 @@ def versions() -> tuple[tuple[str, str], ...]:
     """What is known without looking anywhere: for the panel, at every draw."""
     return (
         ("Add-on", __version__),
-        ("Blender", bpy.app.version_string),
+        ("Blender", compat.version_text()),
         ("Python", platform.python_version()),
         ("numpy", numpy.__version__),
     )
