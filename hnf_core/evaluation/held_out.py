@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 
 from ..action.action import Action
 from ..datasets.recording import Process
+from ..datasets.simulated import SimulatedLibrary
 from ..field.expected_magnitude import expected_densities
 from ..field.features import normalised_tokens
 from ..field.field import Field
 from ..field.stroke import uniform_stroke
+from ..material.library import find
 from ..material.mechanics import Mechanics
 from ..metrics.average_spectrum import average_spectrum_distance_db, power_bias_db
 from ..metrics.spectra import welch
@@ -57,6 +59,15 @@ def long_run(process: Process, action: Action, draws: int, seed: int) -> Float:
     """(501,) mean Welch density of `draws` realisations of one stroke."""
     recordings = process.record([action] * draws, seed)
     return np.asarray(np.mean([welch(each.samples, RATE_HZ)[1] for each in recordings], axis=0))
+
+
+def known_material(name: str, action: Action, draws: int, oracle_draws: int, seed: int) -> Known:
+    """A simulated library material under the action; oracle_draws 0: without an oracle. A job for a process of its
+    own."""
+    material, process = find(name), SimulatedLibrary().process(name)
+    density = long_run(process, action, draws, 31 + seed)
+    oracle = long_run(process, action, oracle_draws, 7_000_032 + seed) if oracle_draws else None
+    return Known(name, material.category, material.token, material.mechanics, density, oracle)
 
 
 def category_mean(one: Known, others: Sequence[Known]) -> tuple[Float, str]:

@@ -28,7 +28,7 @@ SHOWN_BY_DIRECTION = ("field", "shared", "gacm", "ar", "playback")
 
 @dataclass(frozen=True)
 class Job:
-    """kind: "simulated" or "hatt". folder: of the HaTT copy. place: of the material in the whole run, from 0. directions:
+    """kind: "simulated" or "hatt". folder: of the HaTT copy. place: of the material in the run, from 0. directions:
     also measure spectra by direction."""
 
     kind: str

@@ -32,7 +32,8 @@ T = TypeVar("T")
 class Sizes:
     """seconds: of each judged stroke. realisations: of the true process per stroke, for limits and long-run spectrum.
     renders: of each method, averaged (seconds × renders = 8 s is what the bars speak of). training_s: of recordings
-    that a method learns from. simulated, hatt, held_out: materials of each kind."""
+    that a method learns from. simulated, hatt, held_out: materials of each kind. known: trained materials that stand
+    beside the held-out ones; None = all."""
 
     seconds: float = 4.0
     realisations: int = 32
@@ -41,6 +42,7 @@ class Sizes:
     simulated: int = 3
     hatt: int = 3
     held_out: int = 8
+    known: int | None = None
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
 from dataclasses import field as default
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +21,8 @@ from ..errors import MaterialError
 from ..field.field import Field
 from ..field.weights import HELD_OUT_WEIGHTS, load_field
 from ..files import write_text
-from ..material.library import find
 from .extras import direction_table, sensor_table
-from .held_out import Known, held_out_names, held_out_table, long_run
+from .held_out import held_out_names, held_out_table, known_material
 from .jobs import Done, Job, run_jobs
 from .materials import Sizes, column
 from .methods import Budget, chosen
@@ -33,7 +34,7 @@ from .tables import markdown
 SIMULATED = ("sandstone", "denim", "brushed-metal")
 """Rough, woven, and the one whose directions are pictured."""
 HATT = ("ABS Plastic", "Brick 1", "Cork")
-QUICK = Sizes(2.0, 8, 1, 20.0, 1, 1, 3)
+QUICK = Sizes(2.0, 8, 1, 20.0, 1, 1, 3, 6)
 HELD_OUT_DRAWS, KNOWN_DRAWS = 12, 2
 """Realisations behind a long-run spectrum of (c): 48 s of a class that is asked about, 8 s of a stand-in."""
 PHOTO_STROKE = (0.1, 1.0)
@@ -159,21 +160,19 @@ def _held_out(options: Options, field: Field | None) -> Extra | str:
     action = wandering_action(
         options.sizes.seconds, 4242 + options.seed, speed_m_s=limits.speed_m_s, force_n=limits.force_n
     )
-    known = {}
-    for name in library.materials:
-        if name in kept_away and name not in names:
-            continue
-        draws = min(options.sizes.realisations, HELD_OUT_DRAWS) if name in names else KNOWN_DRAWS
-        material, process = find(name), library.process(name)
-        density = long_run(process, action, draws, 31 + options.seed)
-        known[name] = Known(name, material.category, material.token, material.mechanics, density)
-        if name in names:
-            oracle = long_run(process, action, options.sizes.renders, 7_000_032 + options.seed)
-            known[name] = replace(known[name], oracle=oracle)
-    held = [known[name] for name in names]
-    return held_out_table(
-        field, action, held, [each for name, each in known.items() if name not in names], options.seed
-    )
+    sizes = options.sizes
+    others = [name for name in library.materials if name not in kept_away][: sizes.known]
+    with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
+        held = [
+            pool.submit(
+                known_material, name, action, min(sizes.realisations, HELD_OUT_DRAWS), sizes.renders, options.seed
+            )
+            for name in names
+        ]
+        trained = [pool.submit(known_material, name, action, KNOWN_DRAWS, 0, options.seed) for name in others]
+        return held_out_table(
+            field, action, [each.result() for each in held], [each.result() for each in trained], options.seed
+        )
 
 
 def _photos(hatt: DataSet, field: Field, options: Options) -> Extra:
