@@ -17,10 +17,6 @@ def m_to_mm(value: float) -> float:
     return value * 1e3
 
 
-def g_to_m_s2(value: float) -> float:
-    return value * STANDARD_GRAVITY
-
-
 def m_s2_to_g(value: float) -> float:
     return value / STANDARD_GRAVITY
 

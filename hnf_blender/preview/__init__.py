@@ -52,7 +52,7 @@ def _look(context: Any, timeline_plays: bool) -> None:
     global _seen
     import bpy
 
-    from ..props.scene import active_stroke, strokes_of
+    from ..props.scene import active_stroke, actuator_of, strokes_of
     from ..state.redraw import redraw_tab
     from ..state.session import STATE
     from . import current
@@ -61,7 +61,7 @@ def _look(context: Any, timeline_plays: bool) -> None:
     heard = current.collect()
     settings = scene.hnf
     seen = (
-        STATE.changes, scene.name, active and active.name, settings.actuator, settings.monitor_gain_db,
+        STATE.changes, scene.name, active and active.name, actuator_of(scene), settings.monitor_gain_db,
         tuple((name, status.freshness, status.why) for name, status in STATE.strokes.items()),
     )  # fmt: skip
     ended = bool(PREVIEW.sounding) and not current.PLAYER.is_playing

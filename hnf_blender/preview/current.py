@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from ..props.scene import actuator_of
 from ..state.session import STATE, Freshness
 from .device import Player
 from .facts import PREVIEW, PreviewFacts
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 PLAYER = Player()
 KEPT_LEVELS = 16
-_levels: dict[tuple[str, str], Levels] = {}
+_levels: dict[tuple[str, ActuatorProfile], Levels] = {}
 NOT_TRUE = (Freshness.STALE, Freshness.BROKEN)
 
 
@@ -124,7 +125,7 @@ def problem_of(name: str) -> str:
 
 def tell(name: str, scene: Any) -> PreviewFacts:
     """Facts of a stroke for the panels, made anew."""
-    shown, profile = PREVIEW.shown(name), profile_for(scene)
+    shown, profile = PREVIEW.shown(name), actuator_of(scene)
     asked = PREVIEW.asked.get(name)
     newest = PREVIEW.heard.get(name)
     busy = asked is not None and (newest is None or (newest.stamp, newest.look) != asked) and not problem_of(name)
@@ -172,10 +173,10 @@ def words(shown: Heard, profile: ActuatorProfile, gain_db: float) -> list[str]:
 
 
 def levels_against(shown: Heard, profile: ActuatorProfile) -> Levels:
-    """Computed once for a signal and an actuator: facts are told ten times a second."""
+    """Computed once for a signal and an actuator: facts are told many times a second."""
     from hnf_core.actuators.profile import levels_of
 
-    key = (shown.stamp, profile.name)
+    key = (shown.stamp, profile)
     if key not in _levels:
         while len(_levels) >= KEPT_LEVELS:
             del _levels[next(iter(_levels))]
@@ -183,18 +184,11 @@ def levels_against(shown: Heard, profile: ActuatorProfile) -> Levels:
     return _levels[key]
 
 
-def profile_for(scene: Any) -> ActuatorProfile:
-    """The scene's actuator; the generic one where its name is not known."""
-    from hnf_core.actuators.profile import GENERIC, PROFILES
-
-    return PROFILES.get(scene.hnf.actuator, GENERIC)
-
-
 def look_of(context: Any) -> Look:
     from .images import theme_of
     from .pictures import Look
 
-    return Look(theme_of(context), profile_for(context.scene).peak_m_s2)
+    return Look(theme_of(context), actuator_of(context.scene).peak_m_s2)
 
 
 def _cannot(name: str, why: str) -> None:

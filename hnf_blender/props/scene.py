@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from hnf_core.actuators.profile import GENERIC, PROFILES
+from hnf_core.actuators.profile import GENERIC, OWN, PROFILES, ActuatorProfile, own_profile
 
 from .overriding import OVERRIDABLE
 
@@ -45,8 +45,38 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
     actuator: bpy.props.EnumProperty(
         name="Actuator",
         description="Profile whose limits the preview is shown against",
-        items=[(name, profile.title, profile.source) for name, profile in PROFILES.items()],
+        items=[
+            *((name, profile.title, profile.source) for name, profile in PROFILES.items()),
+            (OWN, "My actuator", "A device of your own: enter what its data sheet says"),
+        ],
         default=GENERIC.name,
+        override=OVERRIDABLE,
+    )
+    own_peak_m_s2: bpy.props.FloatProperty(
+        name="Largest acceleration",
+        description="Largest acceleration of your actuator within its range, in m/s² (1 g is 9.81 m/s²); 0: not known",
+        default=0.0,
+        min=0.0,
+        soft_max=100.0,
+        precision=1,
+        override=OVERRIDABLE,
+    )
+    own_lowest_hz: bpy.props.FloatProperty(
+        name="Lowest frequency",
+        description="Lowest frequency that your actuator is made for, in Hz",
+        default=20.0,
+        min=1.0,
+        max=5000.0,
+        precision=0,
+        override=OVERRIDABLE,
+    )
+    own_highest_hz: bpy.props.FloatProperty(
+        name="Highest frequency",
+        description="Highest frequency that your actuator is made for, in Hz",
+        default=1000.0,
+        min=1.0,
+        max=5000.0,
+        precision=0,
         override=OVERRIDABLE,
     )
     export_folder: bpy.props.StringProperty(
@@ -66,6 +96,14 @@ def register() -> None:
 def unregister() -> None:
     del bpy.types.Scene.hnf
     bpy.utils.unregister_class(HnfScene)
+
+
+def actuator_of(scene: Any) -> ActuatorProfile:
+    """The scene's actuator; the generic one where its name is not known."""
+    settings = scene.hnf
+    if settings.actuator == OWN:
+        return own_profile(settings.own_peak_m_s2, settings.own_lowest_hz, settings.own_highest_hz)
+    return PROFILES.get(settings.actuator, GENERIC)
 
 
 def strokes_of(scene: Any) -> list[Any]:

@@ -1,4 +1,4 @@
-"""Actuator: which device the level is shown against, and what its maker says of it."""
+"""Actuator: which device the level is shown against, and what its maker or its owner says of it."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from typing import Any
 
 import bpy
 
-from hnf_core.actuators.profile import PROFILES, ActuatorProfile
+from hnf_core.actuators.profile import OWN, ActuatorProfile
 
+from ..props.scene import actuator_of
 from ..translations import tr
 from .layout import TouchPanel, paragraph
 
@@ -22,12 +23,6 @@ def profile_lines(profile: ActuatorProfile) -> tuple[str, ...]:
         lines.append(tr("Largest acceleration: {peak} m/s²").format(peak=f"{profile.peak_m_s2:.3g}"))
     else:
         lines.append(tr("Largest acceleration: not stated by its maker"))
-    if profile.load_kg is not None:
-        lines.append(tr("With a load of {mass} g").format(mass=f"{1e3 * profile.load_kg:g}"))
-    if profile.resonance_hz is not None:
-        lines.append(tr("Resonance: {frequency} Hz").format(frequency=f"{profile.resonance_hz:g}"))
-    if profile.rated_v is not None:
-        lines.append(tr("At {voltage} V").format(voltage=f"{profile.rated_v:g}"))
     return tuple(lines)
 
 
@@ -39,11 +34,22 @@ class HNF_PT_actuator(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noq
     def draw(self, context: Any) -> None:
         layout, settings = self.layout, context.scene.hnf
         layout.prop(settings, "actuator", text="")
-        profile = PROFILES[settings.actuator]
+        if settings.actuator == OWN:
+            draw_own(layout, settings)
+            return
+        profile = actuator_of(context.scene)
         column = layout.column(align=True)
         for line in profile_lines(profile):
             paragraph(column, context, line, icon="DOT")
         paragraph(layout, context, tr("Source: {source}").format(source=profile.source), icon="INFO")
+
+
+def draw_own(layout: Any, settings: Any) -> None:
+    """The artist's own figures, to be entered."""
+    column = layout.column(align=True)
+    column.prop(settings, "own_peak_m_s2", text="Largest (m/s²)")
+    column.prop(settings, "own_lowest_hz", text="Lowest (Hz)")
+    column.prop(settings, "own_highest_hz", text="Highest (Hz)")
 
 
 CLASSES = (HNF_PT_actuator,)

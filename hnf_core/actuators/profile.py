@@ -8,7 +8,6 @@ import numpy as np
 
 from ..errors import UsageError
 from ..signal import Signal
-from ..units import g_to_m_s2
 
 
 @dataclass(frozen=True)
@@ -16,8 +15,7 @@ class ActuatorProfile:
     """One transducer. None: not stated in the source.
 
     name: for files and settings. title: for people. range_hz: band it is made for. peak_m_s2: largest acceleration
-    within that range, moving load_kg at rated_v (volts; rms for resonant actuators). resonance_hz: mechanical.
-    source: where the figures come from.
+    within that range. source: where the figures come from.
     """
 
     name: str
@@ -25,9 +23,6 @@ class ActuatorProfile:
     source: str
     range_hz: tuple[float, float] | None = None
     peak_m_s2: float | None = None
-    resonance_hz: float | None = None
-    load_kg: float | None = None
-    rated_v: float | None = None
 
 
 GENERIC = ActuatorProfile(
@@ -43,44 +38,36 @@ PROFILES: dict[str, ActuatorProfile] = {
     for profile in (
         GENERIC,
         ActuatorProfile(
-            "haptuator",
-            "TactileLabs Haptuator",
-            "Tactile Labs, Haptuator TL002-14-A data sheet: 50–500 Hz; 3.0 g at 3.0 V, 125 Hz and a load of 15 g",
-            range_hz=(50.0, 500.0),
-            peak_m_s2=g_to_m_s2(3.0),
-            load_kg=0.015,
-            rated_v=3.0,
-        ),
-        ActuatorProfile(
-            "haptuator-mark-2",
-            "TactileLabs Haptuator Mark II",
-            "Tactile Labs, Haptuator Mark II data sheet: 90–1000 Hz",
-            range_hz=(90.0, 1000.0),
-        ),
-        ActuatorProfile(
             "eai-c-mf",
             "EAI C-MF tactor",
             "Engineering Acoustics, C-MF product data sheet Rev. 2, 2021: 180–280 Hz",
             range_hz=(180.0, 280.0),
         ),
-        ActuatorProfile(
-            "precision-microdrives-c10-100",
-            "Precision Microdrives C10-100 (LRA)",
-            "Precision Microdrives, C10-100 data sheet: 175 Hz at 2 V rms",
-            resonance_hz=175.0,
-            rated_v=2.0,
-        ),
-        ActuatorProfile(
-            "alps-haptic-reactor",
-            "Alps Haptic Reactor, Hybrid Tough",
-            "Alps Alpine, Haptic Reactor Hybrid Tough: resonances at 160 Hz and 320 Hz; the lower one is given here",
-            resonance_hz=160.0,
-        ),
-        ActuatorProfile(
-            "lofelt-l5", "Lofelt L5", "Lofelt, L5 product sheet: resonance at 65 Hz", resonance_hz=65.0
-        ),
     )
-}  # fmt: skip
+}
+"""Only what its maker's own document was read for; any other device is told by own_profile()."""
+
+OWN = "own"
+
+
+def own_profile(peak_m_s2: float, lowest_hz: float, highest_hz: float) -> ActuatorProfile:
+    """A device as its owner knows it. peak_m_s2: largest acceleration, 0 = not known. lowest_hz, highest_hz: ends of
+    its range, in either order.
+
+    Raises UsageError for a negative figure and for frequencies that are not above 0.
+    """
+    if not (peak_m_s2 >= 0.0 and lowest_hz > 0.0 and highest_hz > 0.0):
+        raise UsageError(
+            f"an actuator of {peak_m_s2:g} m/s² from {lowest_hz:g} to {highest_hz:g} Hz does not exist.",
+            remedy="Give an acceleration of 0 (not known) or more and frequencies above 0.",
+        )
+    return ActuatorProfile(
+        OWN,
+        "My actuator",
+        "figures of its owner",
+        range_hz=(min(lowest_hz, highest_hz), max(lowest_hz, highest_hz)),
+        peak_m_s2=peak_m_s2 or None,
+    )
 
 
 def profile_of(name: str) -> ActuatorProfile:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -175,6 +176,21 @@ def test_the_preview_says_what_is_missing_then_shows_figures() -> None:
     assert "hnf.preview_stop" in playing.operators
     assert "hnf.preview_play" not in playing.operators
     assert ("hnf.preview_ab", "action", "SWITCH") in playing.given
+
+
+def test_figures_of_her_own_are_asked_for_where_her_own_actuator_is_chosen() -> None:
+    settings, own = bpy.context.scene.hnf, ["own_peak_m_s2", "own_lowest_hz", "own_highest_hz"]
+    listed = drawn(panel("HNF_PT_actuator"))
+    assert listed is not None
+    assert listed.props == ["actuator"]
+    assert "30 m/s²" in listed.words
+    settings.actuator = "own"
+    entered = drawn(panel("HNF_PT_actuator"))
+    assert entered is not None
+    assert entered.props == ["actuator", *own]
+    assert "Source" not in entered.words
+    for name in own:
+        assert re.search(r"m/s²|Hz", settings.bl_rna.properties[name].description)
 
 
 def test_a_running_job_shows_its_stage_and_the_way_out() -> None:

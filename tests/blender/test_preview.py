@@ -231,8 +231,26 @@ def test_facts_are_there_to_be_shown(stroke) -> None:
     assert "m/s²" in facts.lines[0]
     bpy.context.scene.hnf.monitor_gain_db = 60.0
     assert any("clips by" in line for line in current.tell("Along", bpy.context.scene).lines)
-    bpy.context.scene.hnf.actuator = "lofelt-l5"  # nothing is known of its largest
+    bpy.context.scene.hnf.actuator = "eai-c-mf"  # nothing is known of its largest
     assert current.tell("Along", bpy.context.scene).headroom_db is None
+
+
+def test_an_actuator_of_her_own_counts_at_once_in_levels_and_picture(stroke) -> None:
+    settings = bpy.context.scene.hnf
+    settings.actuator = "own"
+    plain = current.refresh(stroke, bpy.context, wait=True)
+    told = current.tell("Along", bpy.context.scene)
+    assert told.headroom_db is None
+    for peak in (told.peak_m_s2 / 2.0, told.peak_m_s2 * 2.0):
+        settings.own_peak_m_s2 = peak
+        drawn = current.refresh(stroke, bpy.context, wait=True)
+        told = current.tell("Along", bpy.context.scene)
+        assert told.headroom_db == pytest.approx(20.0 * np.log10(peak / told.peak_m_s2), abs=1e-4)
+        assert any("My actuator" in line for line in told.lines)
+        assert drawn.look.limit_m_s2 == pytest.approx(peak)
+        assert not np.array_equal(drawn.picture, plain.picture)
+    settings.own_lowest_hz, settings.own_highest_hz = 2000.0, 1000.0  # the wrong way round
+    assert any("below 1000 Hz" in line for line in current.tell("Along", bpy.context.scene).lines)
 
 
 def test_a_and_now_are_compared_at_their_own_level(stroke) -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hnf_core.actuators.profile import GENERIC, PROFILES, ActuatorProfile, levels_of, profile_of
+from hnf_core.actuators.profile import GENERIC, PROFILES, ActuatorProfile, levels_of, own_profile, profile_of
 from hnf_core.errors import UsageError
 from hnf_core.signal import Signal
 
@@ -54,11 +54,27 @@ def test_profiles_name_their_source_and_make_sense() -> None:
         assert name == profile.name
         assert len(profile.source) > 10
         assert profile.range_hz is None or 0.0 < profile.range_hz[0] < profile.range_hz[1]
-        for figure in (profile.peak_m_s2, profile.resonance_hz, profile.load_kg, profile.rated_v):
-            assert figure is None or figure > 0.0
+        assert profile.peak_m_s2 is None or profile.peak_m_s2 > 0.0
         # A largest acceleration means nothing without the range it holds in.
         assert profile.peak_m_s2 is None or profile.range_hz is not None
         assert profile_of(name) is profile
+
+
+@given(st.floats(0.0, 1e3), st.floats(0.1, 5e3), st.floats(0.1, 5e3))
+def test_an_own_actuator_is_what_its_owner_says(peak: float, one_end: float, other_end: float) -> None:
+    profile = own_profile(peak, one_end, other_end)
+    assert profile == own_profile(peak, other_end, one_end)
+    assert profile.range_hz == (min(one_end, other_end), max(one_end, other_end))
+    assert profile.peak_m_s2 == (peak if peak > 0.0 else None)
+    assert profile.name not in PROFILES
+
+
+@pytest.mark.parametrize(
+    "figures", [(-1.0, 20.0, 300.0), (1.0, 0.0, 300.0), (1.0, 20.0, -3.0), (math.nan, 20.0, 300.0)]
+)
+def test_an_impossible_actuator_is_refused(figures: tuple[float, float, float]) -> None:
+    with pytest.raises(UsageError, match="does not exist"):
+        own_profile(*figures)
 
 
 def test_an_unknown_actuator_is_refused_with_those_there_are() -> None:
