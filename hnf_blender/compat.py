@@ -20,6 +20,12 @@ def version_text() -> str:
     return str(bpy.app.version_string)
 
 
+def beside_the_file() -> set[str]:
+    """options= of a path property that may begin with "//": without it Blender warns from 4.5 on, before it is not
+    known."""
+    return {"PATH_SUPPORTS_BLEND_RELATIVE"} if version() >= (4, 5, 0) else set()
+
+
 def use_multilayer_exr(render: Any) -> None:
     """Make the render output itself a float32 multilayer EXR; no compositor is then needed for the passes."""
     settings = render.image_settings

@@ -8,6 +8,7 @@ import bpy
 
 from hnf_core.actuators.profile import GENERIC, OWN, PROFILES, ActuatorProfile, own_profile
 
+from ..compat import beside_the_file
 from .overriding import OVERRIDABLE
 
 
@@ -84,6 +85,7 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
         description="Where exported signals are written",
         default="//touch",
         subtype="DIR_PATH",
+        options=beside_the_file(),
         override=OVERRIDABLE,
     )
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import bpy
 import pytest
 from builders import add_plane
@@ -38,3 +40,10 @@ def test_nodes_can_be_switched_on(kind):
     compat.switch_nodes_on(block)
     assert compat.use_nodes(block)
     assert len(block.node_tree.nodes) > 0
+
+
+def test_the_export_folder_may_stand_beside_the_file_without_a_warning():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        bpy.context.scene.hnf.export_folder = "//elsewhere"
+    assert bpy.context.scene.hnf.export_folder == "//elsewhere"
