@@ -17,6 +17,8 @@ from hnf_blender.props.material import HnfMaterial
 from hnf_blender.props.scene import HnfScene
 from hnf_blender.props.stroke import HnfStroke
 from hnf_blender.rooms import classes_of
+from hnf_blender.touch.inputs import TOUCH
+from hnf_blender.touch.inputs import WORDS as CHANGES
 from hnf_blender.ui.texts import KINDS, LOOKS, ROUTE_WORDS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -61,6 +63,7 @@ def test_every_word_for_a_state() -> None:
     both = REFERENCE + HELP
     said = [text for _, text in LOOKS.values()] + [text for _, text in KINDS.values()] + list(ROUTE_WORDS.values())
     assert [text for text in said if text not in both and text != ROUTE_WORDS["predicted"]] == []
+    assert [text for part, text in CHANGES.items() if part != TOUCH and text not in HELP] == []
 
 
 def reasons() -> Iterator[str]:
