@@ -25,7 +25,7 @@ class Player:
         aud = audio()
         try:
             if self._device is None:
-                self._device = aud.Device()
+                self._device = aud.Device(chosen_device())
             self._handle = self._device.play(aud.Sound.buffer(np.ascontiguousarray(samples, dtype=np.float32), rate))
             if loop:
                 self._handle.loop_count = -1
@@ -57,6 +57,13 @@ class Player:
 
 
 NO_SOUND = "Choose one in Preferences > System > Sound, or export the WAV and play it elsewhere."
+
+
+def chosen_device() -> str:
+    """The one of Preferences > System > Sound: aud's own default may be another, or none that works."""
+    import bpy
+
+    return str(bpy.context.preferences.system.audio_device)
 
 
 def audio() -> Any:

@@ -99,8 +99,8 @@ def _normals(points: Float, ahead: Float, obj: Any, depsgraph: Any, metres_per_u
     if surface is None or surface.type != "MESH":
         return up
     evaluated = surface.evaluated_get(depsgraph)
-    if evaluated.data is None or len(evaluated.data.polygons) == 0:
-        return up
+    if not evaluated.is_evaluated or evaluated.data is None or len(evaluated.data.polygons) == 0:
+        return up  # nothing of it in this view layer: appended with its stroke, or excluded
     world = np.array(evaluated.matrix_world, dtype=np.float64)
     if abs(np.linalg.det(world[:3, :3])) < 1e-30:
         return up

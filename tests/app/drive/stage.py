@@ -165,6 +165,8 @@ class Stage:
         """Open the sidebar of the 3-D view at a tab."""
         self.area().spaces.active.show_region_ui = True
         yield from self.drawn()
+        yield 0.3  # in a file that was just opened, Blender 5.2 crashes on a tab chosen before its first layout
+        yield from self.drawn()
         self.region("UI").active_panel_category = category
         yield from self.drawn()
         yield 0.2

@@ -23,7 +23,8 @@ class Walk:
     def __init__(self, stage) -> None:
         self.stage, self.random = stage, random.Random(SEED)
         self.past, self.place, self.log = [everything()], 0, []
-        self.done = {"edit": 0, "undo": 0, "redo": 0, "bake": 0, "cancel": 0}
+        self.done = {"edit": 0, "undo": 0, "redo": 0, "bake": 0, "cancel": 0, "met a bake": 0}
+        self.known_job = state().last_job
 
     def pushed(self, what: str) -> None:
         """An undo step was made: what lay ahead is gone."""
@@ -43,20 +44,34 @@ class Walk:
             )
 
     def undo(self):
-        yield from self.stage.key("Z", ctrl=True)
-        yield 0.12
-        self.place -= 1
-        self.log.append("undo")
-        self.done["undo"] += 1
-        self.compare("undo")
+        yield from self.travel("undo", -1)
 
     def redo(self):
-        yield from self.stage.key("Z", ctrl=True, shift=True)
+        yield from self.travel("redo", +1, shift=True)
+
+    def travel(self, what: str, way: int, **held: bool):
+        """Ctrl-Z or Shift-Ctrl-Z. Where a bake wrote its result in between, nobody can say which came first: the walk
+        then begins a new history."""
+        jobs_before = state().last_job
+        yield from self.stage.key("Z", ctrl=True, **held)
         yield 0.12
-        self.place += 1
-        self.log.append("redo")
-        self.done["redo"] += 1
-        self.compare("redo")
+        self.log.append(what)
+        self.done[what] += 1
+        if state().last_job is not jobs_before:
+            self.past, self.place, self.known_job = [everything()], 0, state().last_job
+            self.done["met a bake"] += 1
+            return
+        self.place += way
+        self.compare(what)
+
+    def notice_a_bake(self) -> None:
+        """A bake that ended since the last step made an undo step where it wrote something."""
+        if state().last_job is self.known_job:
+            return
+        self.known_job = state().last_job
+        if everything() != self.past[self.place]:
+            self.pushed("bake")
+            self.done["bake"] += 1
 
     def edit(self):
         what = self.random.choice(EDITS)
@@ -68,24 +83,18 @@ class Walk:
 
     def bake(self, cancel: bool):
         start_bake(self.stage)
-        if state().job is None:
-            self.log.append(f"no bake: {state().last_job}")
-            return
         for _ in range(self.random.randrange(4)):  # life goes on meanwhile
             yield from self.any_step()
         if cancel and state().job is not None:
             yield from self.stage.key("ESC")
             self.done["cancel"] += 1
-        before = everything()
         yield from self.stage.until("a bake of the walk ends", lambda: state().job is None, 90.0)
         yield 0.15
-        if everything() != before:
-            self.pushed("bake")
-            self.done["bake"] += 1
-        else:
-            self.log.append(f"bake without a change: {state().last_job}")
+        self.notice_a_bake()
+        self.log.append(f"({state().last_job.message})" if state().last_job else "(no bake)")
 
     def any_step(self):
+        self.notice_a_bake()
         roll = self.random.random()
         if roll < 0.3 and self.place > 0:
             yield from self.undo()
@@ -184,7 +193,9 @@ def check_two_hundred_random_steps_lose_nothing(stage):
         else:
             yield from walk.any_step()
     stage.expect("all steps were taken", len(walk.log) >= STEPS, walk.done)
-    stage.expect("of every kind", all(walk.done.values()), walk.done)
+    stage.expect(
+        "of every kind", all(walk.done[each] for each in ("edit", "undo", "redo", "bake", "cancel")), walk.done
+    )
     stage.measured("random steps", len(walk.log), f"({walk.done})")
     yield from stage.picture("after-the-random-walk")
     while walk.place > 0:
