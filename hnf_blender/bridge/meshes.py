@@ -224,7 +224,7 @@ def _triangles(mesh: Any, stretch: Float, slots: int, where: str) -> TriangleMes
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
     normals = normals / np.where(length > 0.0, length, 1.0)
     uv = _uv(mesh)
-    slot = _read(mesh.polygons, "material_index", np.int32)[face]
+    slot = _face_slots(mesh)[face]
     return TriangleMesh(
         vertices=vertices,
         triangles=np.ascontiguousarray(triangles),
@@ -288,10 +288,10 @@ def _source_faces(original: Any, evaluated: Any, depsgraph: Any) -> tuple[Int | 
 
 def _same_topology(mesh: Any, evaluated: Any) -> bool:
     sizes = [(len(m.vertices), len(m.loops), len(m.polygons)) for m in (mesh, evaluated)]
-    return sizes[0] == sizes[1] and all(
-        np.array_equal(_read(getattr(mesh, part), name, np.int32), _read(getattr(evaluated, part), name, np.int32))
-        for part, name in (("loops", "vertex_index"), ("polygons", "loop_start"))
-    )
+    if sizes[0] != sizes[1]:
+        return False
+    starts = [_read(m.polygons, "loop_start", np.int32) for m in (mesh, evaluated)]
+    return np.array_equal(starts[0], starts[1]) and np.array_equal(_corner_vertices(mesh), _corner_vertices(evaluated))
 
 
 def _traced_faces(original: Any, frame: float) -> Int:

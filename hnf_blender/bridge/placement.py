@@ -18,7 +18,7 @@ from hnf_core.errors import SceneError
 from hnf_core.scene.raycast import Hits, RayCaster
 
 from .boxes import is_visible, world_box
-from .meshes import Surface, ray_caster, surface_mesh
+from .meshes import Surface, flush_edits, ray_caster, surface_mesh
 from .new_stroke import bezier_object, insert_keys
 
 Float = NDArray[np.float64]
@@ -120,7 +120,7 @@ def place_primitive(
     if slot is None:
         slot = int(np.argmax(_slot_areas(surface)))
     caster = _Counting(ray_caster(surface.mesh))
-    above = _Neighbours(scene, obj, surface, depsgraph, metres_per_unit, surfaces)
+    above = _Neighbours(scene, obj, surface, depsgraph, metres_per_unit)
     ways = (DEFAULT_PRIMITIVE, DEFAULT_DOWN) if primitive == DEFAULT_PRIMITIVE else (primitive,)
     found = [(each, _best_spot(surface, caster, slot, each, seed, above)) for each in ways]
     fitting = [(each, spot) for each, spot in found if spot is not None]
@@ -216,56 +216,43 @@ def _points_on(surface: Surface, caster: RayCaster, spot: Spot, primitive: Primi
 
 
 class _Neighbours:
-    """The scene's other visible meshes, looked at only where their bounding boxes come near a path."""
+    """The scene's other visible meshes, looked at only where their bounding boxes come near a path. Blender's own rays
+    do: its tree of a mesh outlives us, and a float32's distance is good enough for a hand."""
 
-    def __init__(
-        self,
-        scene: Any,
-        obj: Any,
-        surface: Surface,
-        depsgraph: Any,
-        metres_per_unit: float,
-        surfaces: Surfaces,
-    ) -> None:
-        self._rigid, self._surfaces = surface.rigid, surfaces
-        self._casters: dict[str, tuple[Surface, _Counting]] = {}
-        self._boxes: list[tuple[Float, Float, Any]] = []
+    def __init__(self, scene: Any, obj: Any, surface: Surface, depsgraph: Any, metres_per_unit: float) -> None:
+        self._rigid, self._metres = surface.rigid, metres_per_unit
+        self.rays = 0
+        self._near: list[tuple[Float, Float, Any]] = []
         for other in scene.objects:
             if other == obj or other.type != "MESH" or not is_visible(other, depsgraph.view_layer):
                 continue
-            self._boxes.append((*world_box(other, depsgraph, metres_per_unit), other))
+            flush_edits(other)
+            self._near.append((*world_box(other, depsgraph, metres_per_unit), other.evaluated_get(depsgraph)))
 
     def leave_free(self, points: Float, normal: Float, height_m: float) -> bool:
         """Whether nothing stands within height_m above surface-frame points (k, 3), along normal."""
         turn, shift = self._rigid[:3, :3], self._rigid[:3, 3]
-        start, up = points @ turn.T + shift, turn @ normal
-        ends = np.concatenate([start, start + height_m * up])
+        start, up = points @ turn.T + shift, height_m * (turn @ normal)
+        ends = np.concatenate([start, start + up])
         low, high = ends.min(axis=0), ends.max(axis=0)
-        for box_low, box_high, other in self._boxes:
-            if (box_low > high).any() or (box_high < low).any():
-                continue
-            found = self._caster(other)
-            if found is None:
-                continue
-            surface, caster = found
-            local = (start - surface.rigid[:3, 3]) @ surface.rigid[:3, :3]
-            hits = caster.cast(local, np.tile(up @ surface.rigid[:3, :3], (len(local), 1)))
-            if (hits.distance <= height_m).any():
-                return False
-        return True
+        return not any(
+            (box_low <= high).all() and (box_high >= low).all() and self._meets(other, start, up)
+            for box_low, box_high, other in self._near
+        )
 
-    @property
-    def rays(self) -> int:
-        return sum(caster.rays for _, caster in self._casters.values())
-
-    def _caster(self, other: Any) -> tuple[Surface, _Counting] | None:
-        if other.name not in self._casters:
-            try:
-                surface = self._surfaces(other)
-            except SceneError:
-                return None
-            self._casters[other.name] = (surface, _Counting(ray_caster(surface.mesh)))
-        return self._casters[other.name]
+    def _meets(self, other: Any, start: Float, way: Float) -> bool:
+        """Whether an object stands on the way from one of the world points [m]."""
+        if len(other.data.polygons) == 0:
+            return False
+        world = np.array(other.matrix_world, dtype=np.float64)
+        if abs(np.linalg.det(world[:3, :3])) < 1e-30:
+            return False  # flattened to nothing
+        local = np.linalg.inv(world)
+        origins = start / self._metres @ local[:3, :3].T + local[:3, 3]
+        along = local[:3, :3] @ (way / self._metres)
+        reach = float(np.linalg.norm(along))
+        self.rays += len(origins)
+        return any(other.ray_cast(origin, along, distance=reach)[0] for origin in origins.tolist())
 
 
 def _curve_object(name: str, points: Float, cyclic: bool, obj: Any, surface: Surface, scene: Any) -> Any:
