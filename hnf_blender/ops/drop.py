@@ -9,6 +9,7 @@ import bpy
 
 from hnf_core.errors import FileError, HnfError, SceneError
 
+from ..compat import beside_the_file
 from ..props.scene import active_stroke, strokes_of
 from ..state.session import STATE
 from ..translations import tr
@@ -29,7 +30,7 @@ class HNF_OT_import_material(bpy.types.Operator):  # type: ignore[misc]  # noqa:
     bl_options = UNDOABLE
 
     filepath: bpy.props.StringProperty(
-        name="File", description="The .hnf file", subtype="FILE_PATH", options={"SKIP_SAVE"}
+        name="File", description="The .hnf file", subtype="FILE_PATH", options={"SKIP_SAVE"} | beside_the_file()
     )
     filter_glob: bpy.props.StringProperty(default="*.hnf", options={"HIDDEN"})
     target: bpy.props.StringProperty(
@@ -98,7 +99,7 @@ class HNF_OT_import_sound(bpy.types.Operator):  # type: ignore[misc]  # noqa: N8
     bl_options = UNDOABLE
 
     filepath: bpy.props.StringProperty(
-        name="File", description="The .wav file", subtype="FILE_PATH", options={"SKIP_SAVE"}
+        name="File", description="The .wav file", subtype="FILE_PATH", options={"SKIP_SAVE"} | beside_the_file()
     )
     filter_glob: bpy.props.StringProperty(default="*.wav", options={"HIDDEN"})
 
