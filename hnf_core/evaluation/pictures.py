@@ -24,6 +24,7 @@ Float = NDArray[np.float64]
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a5a2b", "#5c6672")
 TRUTH = "#1c2430"
 PANEL_PX = (520, 330)
+HEAD_PX, LEGEND_ROW_PX = 72, 20
 SPAN_DB = 55.0
 SHOWN = slice(1, 101)
 
@@ -36,12 +37,13 @@ def spectra_picture(path: Path, judged: Sequence[Judged], kind: str, names: dict
     panels = [(each, index) for each in judged for index in range(len(each.references.get(kind, [])))]
     columns = min(3, max(1, len(panels)))
     rows = -(-len(panels) // columns)
-    size = (PANEL_PX[0] * columns, PANEL_PX[1] * rows + 150)
+    foot = _foot(["true process, long run", *names.values()], PANEL_PX[0] * columns)
+    size = (PANEL_PX[0] * columns, PANEL_PX[1] * rows + HEAD_PX + foot)
 
     def draw(figure: Figure) -> None:
         figure.text(0.02, 1.0 - 34 / size[1], title, fontsize=15, fontweight="bold")
         for place, (each, index) in enumerate(panels):
-            axes = _panel(figure, place, columns, rows, size)
+            axes = _panel(figure, place, columns, rows, size, foot)
             reference = each.references[kind][index]
             top = _draw_truth(axes, reference.density)
             for colour, key in zip(COLOURS, names, strict=False):
@@ -59,7 +61,8 @@ def directions_picture(path: Path, measured: Directions, names: dict[str, str]) 
     panels = [("the true process", measured.truth), *((names[key], measured.methods[key]) for key in measured.methods)]
     columns = min(3, len(panels))
     rows = -(-len(panels) // columns)
-    size = (PANEL_PX[0] * columns, PANEL_PX[1] * rows + 150)
+    foot = _foot([f"{np.degrees(angle):g}°" for angle in measured.angle], PANEL_PX[0] * columns)
+    size = (PANEL_PX[0] * columns, PANEL_PX[1] * rows + HEAD_PX + foot)
     top = float(_level(measured.truth).max())
 
     def draw(figure: Figure) -> None:
@@ -72,7 +75,7 @@ def directions_picture(path: Path, measured: Directions, names: dict[str, str]) 
         figure.text(0.02, 1.0 - 34 / size[1], title, fontsize=15, fontweight="bold")
         colours = matplotlib.colormaps["viridis"](np.linspace(0.0, 0.9, len(measured.angle)))
         for place, (name, spectra) in enumerate(panels):
-            axes = _panel(figure, place, columns, rows, size)
+            axes = _panel(figure, place, columns, rows, size, foot)
             for angle, density, colour in zip(measured.angle, spectra, colours, strict=True):
                 axes.plot(FREQUENCY_HZ[SHOWN], _level(density), color=colour, lw=1.1, label=f"{np.degrees(angle):g}°")
             error = (
@@ -86,10 +89,10 @@ def directions_picture(path: Path, measured: Directions, names: dict[str, str]) 
     write_figure(path, size, draw)
 
 
-def _panel(figure: Figure, place: int, columns: int, rows: int, size: tuple[int, int]) -> Axes:
+def _panel(figure: Figure, place: int, columns: int, rows: int, size: tuple[int, int], foot: int) -> Axes:
     row, column = divmod(place, columns)
     left, wide = (column * PANEL_PX[0] + 78) / size[0], (PANEL_PX[0] - 106) / size[0]
-    bottom = ((rows - 1 - row) * PANEL_PX[1] + 130) / size[1]
+    bottom = ((rows - 1 - row) * PANEL_PX[1] + foot + 52) / size[1]
     axes = figure.add_axes((left, bottom, wide, (PANEL_PX[1] - 75) / size[1]))
     axes.set_xscale("log")
     axes.set_xlim(10.0, 1000.0)
@@ -113,12 +116,20 @@ def _finish(axes: Axes, top: float, title: str, place: int, columns: int, rows: 
         axes.set_xlabel("frequency [Hz]")
 
 
+def _across(labels: Sequence[str], width_px: int) -> int:
+    """Columns of the legend."""
+    return max(1, min(len(labels), int(width_px / (7.0 * max(map(len, labels)) + 60.0))))
+
+
+def _foot(labels: Sequence[str], width_px: int) -> int:
+    """Pixels that the legend takes below the panels."""
+    return LEGEND_ROW_PX * -(-len(labels) // _across(labels, width_px)) + 8
+
+
 def _legend(figure: Figure, size: tuple[int, int]) -> None:
     found = {label: line for axes in figure.axes for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    longest = max(len(label) for label in found)
-    across = max(1, int(size[0] / (7.0 * longest + 60.0)))
     figure.legend(
-        list(found.values()), list(found), loc="lower center", ncol=min(len(found), across), frameon=False,
+        list(found.values()), list(found), loc="lower center", ncol=_across(list(found), size[0]), frameon=False,
         fontsize=9.5, borderaxespad=0.1, labelspacing=0.3,
     )  # fmt: skip
 
