@@ -28,7 +28,21 @@ class Cut:
     box: tuple[int, int, int, int] | None = None
 
 
-CHOSEN: dict[str, Cut] = {}
+CHOSEN: dict[str, Cut] = {
+    "first-install": Cut("dropping/zip-dropped", (130, 310, 590, 500)),
+    "first-new-file": Cut("tutorial/new-file", (300, 55, 1116, 840)),
+    "first-choose": Cut("tutorial/choose", (60, 55, 1116, 1010)),
+    "first-drawing": Cut("tutorial/drawing", (0, 55, 1116, 900)),
+    "first-baking": Cut("tutorial/baking", (830, 80, 1090, 205)),
+    "first-preview": Cut("tutorial/heard", (830, 935, 1090, 1440)),
+    "first-harder": Cut("tutorial/harder", (0, 55, 1116, 1465)),
+    "first-sequencer": Cut("tutorial/sequencer", (0, 915, 1116, 1465)),
+    "panel-scene": Cut("tutorial/heard", (830, 80, 1090, 250)),
+    "panel-materials": Cut("tutorial/heard", (830, 253, 1090, 444)),
+    "panel-strokes": Cut("tutorial/heard", (830, 445, 1090, 934)),
+    "assets": Cut("extension/asset-browser", (250, 55, 1255, 330)),
+    "tool-settings": Cut("tutorial/drawing", (0, 55, 1116, 82)),
+}
 """Name in docs/images/ui → where it comes from."""
 
 
