@@ -7,6 +7,7 @@ import importlib.util
 import sys
 from collections.abc import Sequence
 
+from hnf_core.cli.bench import not_here, run_benches
 from hnf_core.cli.main import main as run_command_line
 from hnf_core.cli.touch import request_from
 from hnf_core.errors import HnfError
@@ -14,7 +15,7 @@ from hnf_core.errors import HnfError
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; argv without the program's name. Returns the exit code."""
-    return run_command_line(sys.argv[1:] if argv is None else argv, run_touch)
+    return run_command_line(sys.argv[1:] if argv is None else argv, run_touch, run_bench)
 
 
 def run_touch(arguments: argparse.Namespace) -> int:
@@ -33,3 +34,11 @@ def run_touch(arguments: argparse.Namespace) -> int:
     from .touch.run import run
 
     return run(request)
+
+
+def run_bench(arguments: argparse.Namespace) -> int:
+    try:
+        from .bench.catalogue import BENCHES
+    except ImportError as error:
+        raise not_here(error) from error
+    return run_benches(arguments, BENCHES)

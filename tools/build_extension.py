@@ -29,7 +29,11 @@ WHEELS = ROOT / "build" / "wheels"
 STAGING = ROOT / "build" / "extension"
 LEFT_OUT = frozenset({"hnf_core/data/field-held-out.safetensors"})
 """Weights that only `hnf eval` asks, which needs torch and stays outside Blender."""
-SKIPPED = shutil.ignore_patterns("__pycache__", "*.pyc", ".*", "*.blend1", *(Path(name).name for name in LEFT_OUT))
+MEASURING = "bench"
+"""Folders of `hnf bench`, which runs from the source."""
+SKIPPED = shutil.ignore_patterns(
+    "__pycache__", "*.pyc", ".*", "*.blend1", MEASURING, *(Path(name).name for name in LEFT_OUT)
+)
 TAGLINE_LIMIT = 64
 
 

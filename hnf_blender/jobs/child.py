@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +20,8 @@ from .messages import Broken, Message, decode
 
 WORKER = Path(__file__).with_name("worker.py")
 LAST_LINES = 12
-DEATH_S = 0.15
-"""How long is waited for a killed process to be gone. One that is busy starting may take longer; it can write nothing
-any more, and the system clears it away."""
+DEATH_S = 5.0
+"""How long is waited, beside the window, for a killed process to be gone; it can do nothing any more."""
 
 
 class Child:
@@ -73,16 +72,29 @@ class Child:
         code = self._process.poll()
         return None if code is None or self._reader.is_alive() else code
 
-    def kill(self) -> None:
-        """End it and all that it started, now."""
-        if self._process.poll() is None:
+    def kill(self, then: Callable[[], None]) -> None:
+        """End it and all that it started; waits for nothing. then: called when it is gone, in a thread, or at once
+        where it has ended before."""
+        if self._process.poll() is not None:
+            self._let_go()
+            then()
+            return
+        if sys.platform != "win32":
             with contextlib.suppress(OSError):
-                if sys.platform == "win32":
-                    subprocess.run(["taskkill", "/F", "/T", "/PID", str(self.pid)], capture_output=True, timeout=5)
-                else:
-                    os.killpg(self.pid, signal.SIGKILL)
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(DEATH_S)
+                os.killpg(self.pid, signal.SIGKILL)
+        threading.Thread(target=self._bury, args=(then,), name="hnf bake end").start()
+
+    def _bury(self, then: Callable[[], None]) -> None:
+        """The thread: a killed process that was busy starting takes a while to be cleared away."""
+        if sys.platform == "win32":
+            with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+                subprocess.run(["taskkill", "/F", "/T", "/PID", str(self.pid)], capture_output=True, timeout=DEATH_S)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(DEATH_S)
+        self._let_go()
+        then()
+
+    def _let_go(self) -> None:
         if self._process.stdin is not None:
             with contextlib.suppress(OSError):
                 self._process.stdin.close()

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,11 @@ class Bake:
         """Of the child process, None when it is gone."""
         return None if self._child is None else self._child.pid
 
+    @property
+    def is_committing(self) -> bool:
+        """The child has ended its work; what it made is compared and written."""
+        return self._committing is not None
+
     def tick(self) -> LastJob | None:
         """Go on for a moment; STATE.job tells how far. None while it runs, else how it ended, told in STATE.last_job
         too, and nothing of it is left."""
@@ -90,7 +96,7 @@ class Bake:
 
     def clean(self) -> None:
         if self._child is not None:
-            self._child.kill()
+            self._child.kill(then=partial(remove_folder, self.folder))  # once more, in case it was writing
             self._child = None
         if self._committing is not None:
             self._committing.close()

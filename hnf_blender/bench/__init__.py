@@ -1,0 +1,1 @@
+"""Benches of what Blender is asked to wait for. No part of the extension."""

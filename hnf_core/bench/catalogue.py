@@ -1,0 +1,14 @@
+"""The benches that need no Blender."""
+
+from __future__ import annotations
+
+from .frame import Bench, Options, Row
+
+
+def _preview(options: Options) -> list[Row]:
+    from .preview import rows
+
+    return rows(options)
+
+
+BENCHES = (Bench("preview", "a changed force key → new samples, from what is there and all anew", _preview),)

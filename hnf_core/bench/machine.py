@@ -1,0 +1,42 @@
+"""What was measured on: without it no time means anything."""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+from pathlib import Path
+
+from .. import __version__
+
+PACKAGES = ("numpy", "bpy")
+
+
+def machine() -> dict[str, str]:
+    """Processor, cores, memory, load of the last minute, system, versions of what is loaded."""
+    facts = {"processor": _processor(), "cores": str(os.cpu_count() or 0)}
+    if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
+        facts["memory"] = f"{os.sysconf('SC_PHYS_PAGES') * os.sysconf('SC_PAGE_SIZE') / 1e9:.0f} GB"
+    if hasattr(os, "getloadavg"):
+        facts["load"] = f"{os.getloadavg()[0]:.1f}"
+    facts["system"] = platform.platform()
+    facts["hnf"], facts["python"] = __version__, platform.python_version()
+    for name in PACKAGES:
+        if name in sys.modules:
+            facts[name] = _version(name)
+    return facts
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    named = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
+    return named or platform.processor() or platform.machine()
+
+
+def _version(name: str) -> str:
+    module = sys.modules[name]
+    app = getattr(module, "app", None)
+    return str(app.version_string if app is not None else getattr(module, "__version__", "?"))

@@ -1,0 +1,41 @@
+"""Rows as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from .frame import Row, Spread
+
+HEADER = ("bench", "method", "median", "99 %", "longest", "times", "ratio", "error", "peak MB", "")
+
+
+def markdown(rows: Sequence[Row], machine: Mapping[str, str]) -> str:
+    """One table, and one line that says on what."""
+    lines = [HEADER, ("---",) * len(HEADER), *(_cells(row) for row in rows)]
+    table = "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+    return f"{table}\n\n{', '.join(f'{name} {value}' for name, value in machine.items())}"
+
+
+def _cells(row: Row) -> tuple[str, ...]:
+    spread = row.seconds
+    times = ("", "", "", "") if spread is None else (*_times(spread), str(spread.count))
+    ratio = "" if row.ratio is None else f"{row.ratio.median:.3g} × {row.ratio_to} ({_range(row.ratio)})"
+    error = "" if row.error is None else f"{row.error:.3g} {row.error_unit}".strip()
+    peak = "" if row.peak_mb is None else f"{row.peak_mb:.1f}"
+    return (row.bench, row.method, *times, ratio, error, peak, row.note)
+
+
+def _times(spread: Spread) -> tuple[str, str, str]:
+    return duration(spread.median), duration(spread.p99), duration(spread.highest)
+
+
+def _range(spread: Spread) -> str:
+    return f"{spread.lowest:.3g}–{spread.highest:.3g}"
+
+
+def duration(seconds: float) -> str:
+    """`12.3 ms`, `4.56 s`: three digits."""
+    for scale, unit in ((1.0, "s"), (1e-3, "ms")):
+        if seconds >= scale:
+            return f"{seconds / scale:.3g} {unit}"
+    return f"{seconds * 1e6:.3g} µs"

@@ -1,0 +1,77 @@
+"""`hnf bench`: time, memory and error side by side."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from ..errors import HnfError, UsageError
+from .progress import Progress, ProgressBar
+
+if TYPE_CHECKING:
+    from ..bench.frame import Bench
+
+
+def add_parser(verbs: Any) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = verbs.add_parser(
+        "bench",
+        help="measure time, memory and error, as a table",
+        description="Measure, and print a table in Markdown: medians and spread of repeated runs, ratios of runs in "
+        "pairs, the error beside each faster way, and the machine. A busy machine gives other times and the same "
+        "ratios.",
+    )
+    parser.add_argument("name", nargs="?", metavar="NAME", help="one of them (default: all; an unknown one lists them)")
+    parser.add_argument("--repeats", type=int, default=5, metavar="N", help="of each measurement (default 5)")
+    parser.add_argument("--quick", action="store_true", help="tiny sizes: proves that it runs, and nothing else")
+    parser.add_argument("--json", action="store_true", help="print a list of objects instead")
+    return parser
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """The benches that need no Blender. Raises HnfError; returns the exit code."""
+    try:
+        from ..bench.catalogue import BENCHES
+    except ImportError as error:
+        raise not_here(error) from error
+    return run_benches(arguments, BENCHES)
+
+
+def run_benches(arguments: argparse.Namespace, benches: Sequence[Bench]) -> int:
+    """Print what those asked for measure. Raises UsageError and what a bench raises."""
+    from ..bench.frame import Options
+    from ..bench.machine import machine
+    from ..bench.table import markdown
+
+    chosen = [bench for bench in benches if arguments.name in (None, bench.name)]
+    if not chosen:
+        listed = "\n".join(f"  {bench.name:<16} {bench.what}" for bench in benches)
+        raise UsageError(f"there is no bench '{arguments.name}'.", remedy=f"There are:\n{listed}")
+    if arguments.repeats < 1:
+        raise UsageError("--repeats must be at least 1.")
+    before, bar, rows = machine(), ProgressBar(), []
+    try:
+        for place, bench in enumerate(chosen):
+            options = Options(
+                arguments.repeats,
+                arguments.quick,
+                lambda what, place=place: bar.show(Progress(what, place, len(chosen))),  # type: ignore[misc]
+            )
+            rows += bench.rows(options)
+    finally:
+        bar.close()
+    facts = machine() | {name: before[name] for name in ("load",) if name in before}  # before we made one
+    if arguments.json:
+        print(json.dumps([row.to_json() | {"machine": facts} for row in rows], indent=1, ensure_ascii=False))
+    else:
+        print(markdown(rows, facts))
+    return 0
+
+
+def not_here(error: ImportError) -> HnfError:
+    """The extension's zip holds no benches."""
+    return HnfError(
+        f"benches are no part of the extension ({error}).",
+        remedy="Run them from the source: pip install -e '.[scene]', then hnf bench.",
+    )

@@ -1,0 +1,59 @@
+"""The benches that need Blender give their rows. No time is asserted."""
+
+from __future__ import annotations
+
+import json
+
+import bpy
+import build_extension
+import pytest
+from job_scene import my_folders
+
+from hnf_blender.bench import enable, responsiveness
+from hnf_blender.bench.catalogue import BENCHES
+from hnf_blender.cli import main
+from hnf_blender.jobs import current
+from hnf_blender.state.session import STATE
+from hnf_core.bench.frame import Options
+
+
+def test_every_bench_has_a_name_of_its_own():
+    names = [bench.name for bench in BENCHES]
+    assert len(set(names)) == len(names)
+    assert {"enable", "responsiveness", "preview"} <= set(names)
+
+
+def test_switching_the_add_on_on_loads_nothing_heavy():
+    numpy, addon = enable.rows(Options(repeats=1))
+    assert (numpy.method, addon.ratio_to) == ("import numpy", "import numpy")
+    assert addon.ratio.median == pytest.approx(addon.seconds.median / numpy.seconds.median)
+    assert addon.note.endswith("heavy ones: none")
+    assert addon.peak_mb > 0.0
+
+
+def test_a_heavy_package_is_named():
+    assert enable.Run(0.1, 0.1, 1.0, ("hnf_blender", "torch.nn", "scipy")).heavy == ("scipy", "torch")
+
+
+def test_every_kind_of_call_is_seen_and_nothing_is_left():
+    handlers = list(bpy.app.handlers.depsgraph_update_post)
+    rows = {row.method: row for row in responsiveness.rows(Options(repeats=1, quick=True))}
+    assert {
+        "save a copy", "start", "cancel", "handler", "look at what changed", "tick, child at work", "tick, commit",
+    } <= rows.keys()  # fmt: skip
+    assert rows["handler"].seconds.count > 1
+    assert rows["tick, child at work"].seconds.count > 1
+    assert all(row.seconds.lowest > 0.0 for row in rows.values())
+    assert list(bpy.app.handlers.depsgraph_update_post) == handlers
+    assert not current.is_running()
+    assert my_folders() == []
+    assert (STATE.job, STATE.strokes, STATE.dirty) == (None, {}, set())
+
+
+def test_the_command_line_knows_them(capsys):
+    assert main(["bench", "enable", "--repeats", "1", "--json"]) == 0
+    assert [row["bench"] for row in json.loads(capsys.readouterr().out)] == ["enable", "enable"]
+
+
+def test_the_extension_holds_no_bench():
+    assert build_extension.SKIPPED("hnf_core", ["bench", "bench.py", "cli"]) == {"bench"}

@@ -1,0 +1,131 @@
+"""`hnf bench`: its frame, its words, and the rows of the benches that need no Blender. No time is asserted."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from hnf_core.bench.catalogue import BENCHES
+from hnf_core.bench.frame import Bench, Options, Row, Spread, peak_mb, timed
+from hnf_core.bench.machine import machine
+from hnf_core.bench.table import duration, markdown
+from hnf_core.cli.main import build_parser, main
+
+SPREAD = Spread.of([0.3, 0.1, 0.2])
+
+
+def hnf(*words: str) -> int:
+    return main(["bench", *words], lambda arguments: 1)
+
+
+def test_a_spread_is_of_what_was_measured():
+    assert (SPREAD.median, SPREAD.lowest, SPREAD.highest, SPREAD.count) == (0.2, 0.1, 0.3, 3)
+    assert SPREAD.median <= SPREAD.p99 <= SPREAD.highest
+    assert Spread.of([7.0]) == Spread(7.0, 7.0, 7.0, 7.0, 1)
+
+
+def test_a_row_as_json_has_medians_and_the_spread_beside():
+    record = Row("b", "fast", SPREAD, SPREAD, "slow", 1e-3, "m/s²", 2.5, "a note").to_json()
+    assert json.loads(json.dumps(record)) == record
+    assert record["seconds"] == record["ratio"] == 0.2
+    assert record["seconds_spread"]["count"] == 3
+    assert (record["bench"], record["method"], record["error"], record["peak_mb"]) == ("b", "fast", 1e-3, 2.5)
+    empty = Row("b", "said").to_json()
+    assert empty["seconds"] is None
+    assert empty["error"] is None
+
+
+def test_the_table_has_a_cell_for_every_column_and_names_the_machine():
+    rows = [Row("b", "slow", SPREAD, peak_mb=1.0), Row("b", "fast", SPREAD, SPREAD, "slow", 0.0, "m/s²")]
+    text = markdown(rows, {"processor": "P", "cores": "2"})
+    lines = text.splitlines()
+    assert {line.count("|") for line in lines[:4]} == {11}
+    assert "0 m/s²" in lines[3]
+    assert "0.2 × slow (0.1–0.3)" in lines[3]
+    assert lines[-1] == "processor P, cores 2"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"), [(12.34, "12.3 s"), (1.0, "1 s"), (0.0123, "12.3 ms"), (4.5e-6, "4.5 µs"), (0.0, "0 µs")]
+)
+def test_durations_have_three_digits(seconds, words):
+    assert duration(seconds) == words
+
+
+def test_what_is_timed_gives_its_result_and_what_is_held_is_counted():
+    seconds, result = timed(lambda: 3)
+    assert (seconds > 0.0, result) == (True, 3)
+    assert 8.0 < peak_mb(lambda: bytearray(10_000_000)) < 12.0
+
+
+def test_the_machine_is_described():
+    facts = machine()
+    assert {"processor", "cores", "system", "python", "hnf", "numpy"} <= facts.keys()
+    assert all(facts.values())
+
+
+def test_a_changed_key_gives_the_very_samples_of_all_anew():
+    (bench,) = (bench for bench in BENCHES if bench.name == "preview")
+    whole, part = bench.rows(Options(repeats=2, quick=True))
+    assert part.ratio_to == whole.method
+    assert (part.error, part.error_unit) == (0.0, "m/s²")
+    assert part.seconds.count == whole.seconds.count == part.ratio.count == 2
+    assert part.peak_mb > 0.0
+    share = float(part.note.partition("%")[0])
+    assert 0.0 < share < 100.0
+
+
+def test_one_bench_as_a_list_of_objects(capsys):
+    assert hnf("preview", "--quick", "--repeats", "1", "--json") == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [row["bench"] for row in rows] == ["preview", "preview"]
+    assert all(row["seconds"] > 0.0 and row["machine"]["numpy"] for row in rows)
+
+
+def test_an_unknown_bench_lists_those_there_are(capsys):
+    assert hnf("speed") == 2
+    said = capsys.readouterr().err
+    assert all(bench.name in said and bench.what in said for bench in BENCHES)
+
+
+def test_no_repeats_is_no_measurement(capsys):
+    assert hnf("preview", "--repeats", "0") == 2
+    assert "--repeats" in capsys.readouterr().err
+
+
+def test_help_is_there(capsys):
+    assert hnf("--help") == 0
+    assert "--repeats" in capsys.readouterr().out
+
+
+def test_all_that_are_asked_for_run_in_order(capsys):
+    from hnf_core.cli.bench import run_benches
+
+    seen = []
+
+    def rows_of(name: str):
+        def rows(options: Options) -> list[Row]:
+            seen.append((name, options.repeats, options.quick))
+            return [Row(name, "it", SPREAD)]
+
+        return rows
+
+    benches = [Bench(name, "…", rows_of(name)) for name in ("one", "two")]
+    arguments = build_parser(lambda _: 1).parse_args(["bench", "--repeats", "4"])
+    assert run_benches(arguments, benches) == 0
+    assert seen == [("one", 4, False), ("two", 4, False)]
+    assert [line.split(" | ")[0] for line in capsys.readouterr().out.splitlines()[2:4]] == ["| one", "| two"]
+
+
+def test_without_the_benches_as_in_the_extension_it_says_where_they_are():
+    code = (
+        "import sys; sys.modules['hnf_core.bench.catalogue'] = None; from hnf_core.cli.main import main; "
+        "sys.exit(main(['bench'], lambda arguments: 1))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    assert "no part of the extension" in done.stderr
+    assert "pip install" in done.stderr
