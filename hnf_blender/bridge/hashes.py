@@ -1,4 +1,5 @@
-"""Content hashes of shaders: equal hash, equal close-up. Names, layout and selection do not count."""
+"""Content hashes of shaders: equal hash, equal close-up. Names, layout and selection do not count, and the same file
+gives the same hash in every Blender."""
 
 from __future__ import annotations
 
@@ -12,9 +13,30 @@ from .images import image_files
 COSMETIC = frozenset({
     "name", "label", "location", "location_absolute", "width", "height", "select", "color", "use_custom_color",
     "show_options", "show_preview", "show_texture", "hide", "parent", "dimensions", "is_active_output", "rna_type",
-    "bl_idname", "warning_propagation", "color_tag", "is_active_preview",
+    "warning_propagation", "color_tag", "is_active_preview", "subsurface_method", "falloff",
 })  # fmt: skip
-"""Node properties that say how a node looks in the editor, not what it computes."""
+"""Node properties that say how a node looks in the editor, or how light is scattered below the surface (close-ups are
+unlit), not what it computes. Blender 5.2 calls the old scattering by another name."""
+
+NEUTRAL: dict[str, dict[str, object]] = {
+    "ShaderNodeBsdfPrincipled": {"Diffuse Roughness": 0.0, "Thin Wall": False},
+    "ShaderNodeBsdfGlass": {"Thin Film Thickness": 0.0, "Thin Film IOR": 1.33},
+    "ShaderNodeBsdfMetallic": {"Thin Film Thickness": 0.0, "Thin Film IOR": 1.33},
+    "ShaderNodeBump": {"Filter Width": 1.0},
+    "ShaderNodeVolumeScatter": {
+        "phase": "HENYEY_GREENSTEIN",
+        "IOR": 1.33,
+        "Backscatter": 0.1,
+        "Alpha": 0.5,
+        "Diameter": 20.0,
+    },
+    "ShaderNodeNormalMap": {"base": "DISPLACED", "convention": "OPENGL"},
+}
+"""Sockets and properties that came after Blender 4.2, by type of node, with the value that computes what versions
+without them compute. At that value they do not count."""
+
+SAME = 1e-6
+"""Blender keeps such values as float32."""
 
 
 def material_hash(material: Any) -> str:
@@ -67,7 +89,7 @@ def _tree_parts(tree: Any, seen: set[str]) -> Iterator[str]:
         yield node.name
         yield node.bl_idname
         yield repr(sorted(_simple_properties(node)))
-        yield repr([_socket_value(socket) for socket in node.inputs])
+        yield repr(list(_socket_values(node)))
         if node.bl_idname.startswith(("ShaderNodeValue", "ShaderNodeRGB")):
             yield repr([_socket_value(socket) for socket in node.outputs])
         yield from _special_parts(node, seen)
@@ -79,13 +101,29 @@ def _tree_parts(tree: Any, seen: set[str]) -> Iterator[str]:
 
 
 def _simple_properties(node: Any) -> Iterator[tuple[str, str]]:
+    neutral = NEUTRAL.get(node.bl_idname, {})
     for prop in node.bl_rna.properties:
-        if prop.identifier in COSMETIC or prop.type in {"POINTER", "COLLECTION"}:
+        # bl_…: of the type, not of this node; descriptions and sizes of theirs differ between versions.
+        if prop.identifier in COSMETIC or prop.identifier.startswith("bl_") or prop.type in {"POINTER", "COLLECTION"}:
             continue
         if prop.is_readonly and prop.identifier != "mute":
             continue
         value = getattr(node, prop.identifier)
+        if prop.identifier in neutral and value == neutral[prop.identifier]:
+            continue
         yield prop.identifier, repr(list(value) if getattr(prop, "is_array", False) else value)
+
+
+def _socket_values(node: Any) -> Iterator[tuple[str, object]]:
+    """By identifier, in their order: later versions have more of them."""
+    neutral = NEUTRAL.get(node.bl_idname, {})
+    for socket in node.inputs:
+        value, name = _socket_value(socket), str(socket.identifier)
+        usual = neutral.get(name)
+        if isinstance(usual, float) and isinstance(value, float):
+            usual = value if abs(value - usual) < SAME else usual
+        if name not in neutral or socket.is_linked or value != usual:
+            yield name, value
 
 
 def _socket_value(socket: Any) -> object:

@@ -42,6 +42,9 @@ Surfaces = Callable[[Any], Surface]
 STILL = 2e-7
 """Blender's matrices are float32: a relative motion below this share of the coordinates is rounding."""
 
+HASH_STEP, HASH_OFFSET = 1e-7, 0.381966
+"""In m, m/s, s and N: a tenth of a micrometre, less than a finger, a pen or a key can be moved by."""
+
 
 @dataclass(frozen=True)
 class SceneStroke:
@@ -137,19 +140,27 @@ def read_stroke(
     )
 
 
+def steady_bytes(values: NDArray[np.floating[Any]]) -> bytes:
+    """Bytes for a hash that do not know the last bits of a computation, which differ between numpy's versions: counts
+    of HASH_STEP. A change of more than HASH_STEP is always seen."""
+    # Without the offset, round figures such as 0.00000005 would lie where rounding may go either way.
+    counts: NDArray[np.int64] = np.floor(values.astype(np.float64) / HASH_STEP + HASH_OFFSET).astype("<i8")
+    return counts.tobytes()
+
+
 def path_hash(stroke: SceneStroke) -> str:
     """Hash of where a stroke goes and when, on which object: of all but force, seed, probe and material."""
     samples = stroke.samples
     arrays = [samples.time, samples.point, samples.tangent, samples.position, samples.velocity]
-    parts = [np.ascontiguousarray(array).tobytes() for array in arrays]
+    parts = [steady_bytes(array) for array in arrays]
     if stroke.deforming is not None:
-        parts += [np.ascontiguousarray(stroke.deforming.vertices).tobytes(), stroke.deforming.time.tobytes()]
+        parts += [steady_bytes(stroke.deforming.vertices), steady_bytes(stroke.deforming.time)]
     return content_hash(stroke.object_name, str(samples.moving), *parts)
 
 
 def touch_hash(stroke: SceneStroke, seed: int) -> str:
     """Hash of how a stroke presses: force, probe, and the seed it is given."""
-    return content_hash(np.ascontiguousarray(stroke.samples.force).tobytes(), str(seed), stroke.probe)
+    return content_hash(steady_bytes(stroke.samples.force), str(seed), stroke.probe)
 
 
 def stroke_hash(stroke: SceneStroke) -> str:
