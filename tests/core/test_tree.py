@@ -31,7 +31,7 @@ FLOORS = (
     ("training",),
     ("baselines",),
     ("export", "actuators"),
-    ("evaluation",),
+    ("evaluation", "bench"),
     ("cli",),
 )
 FLOOR_OF = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
