@@ -11,8 +11,8 @@ SHARE = 0.38
 """Of the 3-D view's height, where an area must be split off for it."""
 FLAT_N = 0.05
 """A curve that varies by less is framed as a line without a scale..."""
-FLAT_OUT = -0.4995
-"""... and this zooms out a thousandfold, to about a newton above and below."""
+ROOM_N = 1.5
+"""... and gets this much above and below."""
 SETTLED_S = 0.1
 """A new area has no size before the next redraw; only then can its curve be fitted in."""
 
@@ -87,6 +87,6 @@ def _frame_all(flat: bool) -> None:
         preferences.view.smooth_view = 0
         bpy.ops.graph.view_all(include_handles=False)
         if flat:
-            bpy.ops.view2d.zoom_out(zoomfacx=0.0, zoomfacy=FLAT_OUT)
+            bpy.ops.view2d.zoom(deltax=0.0, deltay=-ROOM_N, use_cursor_init=False)
     finally:
         preferences.view.smooth_view, preferences.is_dirty = smooth, was_dirty

@@ -99,14 +99,17 @@ def _normals(points: Float, ahead: Float, obj: Any, depsgraph: Any, metres_per_u
     if surface is None or surface.type != "MESH":
         return up
     evaluated = surface.evaluated_get(depsgraph)
-    if not evaluated.is_evaluated or evaluated.data is None or len(evaluated.data.polygons) == 0:
-        return up  # nothing of it in this view layer: appended with its stroke, or excluded
+    if evaluated.data is None or len(evaluated.data.polygons) == 0:
+        return up
     world = np.array(evaluated.matrix_world, dtype=np.float64)
     if abs(np.linalg.det(world[:3, :3])) < 1e-30:
         return up
     inverse = np.linalg.inv(world)
     for k, point in enumerate(points / metres_per_unit @ inverse[:3, :3].T + inverse[:3, 3]):
-        found, _, normal, _ = evaluated.closest_point_on_mesh(point)
+        try:
+            found, _, normal, _ = evaluated.closest_point_on_mesh(point)
+        except RuntimeError:  # no mesh of it in this view layer: appended with its stroke, hidden or excluded
+            return up
         turned = inverse[:3, :3].T @ np.array(normal)
         if found and np.linalg.norm(turned) > 0.0:
             up[k] = turned / np.linalg.norm(turned)

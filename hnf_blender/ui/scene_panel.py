@@ -70,7 +70,7 @@ def draw_first_steps(layout: Any, context: Any, strokes: list[Any]) -> None:
             return
         row = side_by_side(box, context)
         row.operator("wm.tool_set_by_id", text="Stroke Tool", icon="GREASEPENCIL").name = "hnf.stroke"
-        row.menu("HNF_MT_stroke_add", text="Ready Strokes", icon="ADD")
+        row.menu("HNF_MT_stroke_add", text="Ready Strokes")
 
 
 def draw_job(layout: Any, context: Any) -> None:

@@ -163,9 +163,8 @@ class Stage:
 
     def show_tab(self, category: str = "Touch") -> Waits:
         """Open the sidebar of the 3-D view at a tab."""
+        yield from self.drawn("WINDOW")  # Blender 5.2 crashes where the file was opened in this very tick
         self.area().spaces.active.show_region_ui = True
-        yield from self.drawn()
-        yield 0.3  # in a file that was just opened, Blender 5.2 crashes on a tab chosen before its first layout
         yield from self.drawn()
         self.region("UI").active_panel_category = category
         yield from self.drawn()

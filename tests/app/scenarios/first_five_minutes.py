@@ -11,7 +11,6 @@ INSTALLED = "no"
 SCREEN = "1280x1500"  # the whole sidebar at once
 SHARE = Path("/share")
 EXPORTED = SHARE / "exported"
-QUICK_S = 2.0  # four times what is promised: this may run on a busy machine
 
 
 def stroke():
@@ -57,13 +56,13 @@ def check_the_tool_draws_a_stroke(stage):
     yield 0.3
     tool = bpy.context.workspace.tools.from_space_view3d_mode("OBJECT").idname
     stage.require("the tool is taken", tool == "hnf.stroke", tool)
-    path = [stage.seen_at((-0.03 + 0.0015 * k, 0.008 * ((k % 20) / 10 - 1) ** 2, 0.0)) for k in range(41)]
+    path = [stage.seen_at((-0.03 + 0.004 * k, 0.008 * (k / 7 - 1) ** 2, 0.0)) for k in range(15)]
     yield from stage.move(path[0])
     stage.event("LEFTMOUSE", "PRESS", path[0])
     for k, at in enumerate(path[1:]):
         yield 0.02
         stage.event("MOUSEMOVE", "NOTHING", at)
-        if k == 25:
+        if k == 9:
             yield 0.1
             stage.photograph("03-drawing")
     yield 0.05
@@ -117,6 +116,9 @@ def check_the_graph_editor_changes_the_force(stage):
         bpy.ops.hnf.force_graph("INVOKE_DEFAULT", True)
     yield 1.0
     stage.require("a Graph Editor is open", any(area.type == "GRAPH_EDITOR" for area in stage.areas()))
+    view = stage.region("WINDOW", "GRAPH_EDITOR")
+    low, high = (view.view2d.region_to_view(0, y)[1] for y in (0, view.height))
+    stage.expect("a newton has room in it", low < 0.5 and 1.5 < high < 10.0, (low, high))
     yield from stage.picture("09-graph-editor")
     keys = force_keys(stroke())
     at = stage.middle("GRAPH_EDITOR")
@@ -135,7 +137,6 @@ def check_the_graph_editor_changes_the_force(stage):
     )
     took = time.monotonic() - changed
     stage.measured("force changed in the Graph Editor → new signal", took, "s")
-    stage.expect("soon", took < QUICK_S, f"{took:.2f} s")
     yield from stage.until("nothing is to bake", lambda: freshness(stroke().name) == "force", 5.0)
     yield from stage.picture("10-other-force")
     again = heard(stroke().name).signal.samples

@@ -1,12 +1,15 @@
 """Strokes in time: the playhead, the overlay, sound in step, the sequencer, speakers."""
 
+import time
+
 import bpy
 from drive import scenery
 from drive.addon import baked, freshness, heard, ours, strokes
 from drive.timing import Spent
 
 SCREEN = "1280x1100"
-FRAMES = 48
+FRAMES, STEP = 48, 4
+QUICK_S = 5.0  # ten times what is promised: this may run on a busy machine
 
 
 def overlay_pixels(stage, name):
@@ -58,6 +61,21 @@ def check_without_the_overlay_nothing_is_drawn(stage):
     stage.expect("the switch is seen", stage.memory["overlay-off"] != stage.memory["overlay-on"])
 
 
+def check_one_force_key_is_heard_at_once(stage):
+    before = heard("Along")
+    curve = next(each for each in ours("compat").fcurves_of(strokes()[0]) if each.data_path == "hnf_stroke.force")
+    changed = time.monotonic()
+    curve.keyframe_points[-1].co[1] = 3.0
+    curve.update()
+    strokes()[0].update_tag()
+    yield from stage.until("it is heard", lambda: heard("Along").stamp != before.stamp, 10.0)
+    took = time.monotonic() - changed
+    stage.measured("one force key changed → new signal", took, "s")
+    stage.expect("at once", took < QUICK_S, f"{took:.2f} s")
+    stage.expect("the end is another", heard("Along").signal.samples[-1500] != before.signal.samples[-1500])
+    yield from stage.until("nothing is to bake", lambda: freshness("Along") == "force", 5.0)
+
+
 def check_playback_sounds_and_moves_on(stage):
     stage.require("a sound device, one that plays to nowhere", stage.take_sound_device() != "None")
     player = ours("preview.current").PLAYER
@@ -66,30 +84,28 @@ def check_playback_sounds_and_moves_on(stage):
     with stage.over():
         bpy.ops.screen.animation_play()
     yield from stage.until("the stroke sounds with the timeline", lambda: player.is_playing, 10.0)
-    seen = set()
-    for _ in range(20):
-        seen.add(bpy.context.scene.frame_current)
-        yield 0.05
+    yield from stage.until("the playhead moves on", lambda: bpy.context.scene.frame_current >= 10, 10.0)
     stage.photograph("playing")
-    stage.expect("the playhead moves", len(seen) > 3, sorted(seen))
     with stage.over():
         bpy.ops.screen.animation_play()
     yield 0.3
     stage.expect("no sound once the timeline stands", not player.is_playing)
 
 
-def check_scrubbing_through_all_frames(stage):
+def check_scrubbing(stage):
     with Spent() as spent:
-        for frame in range(1, FRAMES + 1):
+        for frame in range(1, FRAMES + 1, STEP):
             bpy.context.scene.frame_set(frame)
             yield 0.01
-    stage.measured("scrubbing: time in our own calls", 1e3 * sum(map(sum, spent.calls.values())) / FRAMES, "ms a frame")
+    stage.measured(
+        "scrubbing: time in our own calls", 1e3 * sum(map(sum, spent.calls.values())) / (FRAMES / STEP), "ms a frame"
+    )
     stage.measured(f"scrubbing: longest single call ({spent.longest_name})", 1e3 * spent.longest, "ms")
     with stage.over():
         bpy.ops.screen.frame_jump(end=False)
     yield 0.2
     stage.expect("back at the start", bpy.context.scene.frame_current == 1)
-    stage.expect("scrubbing made nothing stale", freshness("Along") == "fresh", freshness("Along"))
+    stage.expect("scrubbing made nothing stale", freshness("Along") == "force", freshness("Along"))
 
 
 def check_into_the_sequencer(stage):
