@@ -52,7 +52,8 @@ class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy h
         else:
             layout.operator("hnf.diagnose", text="Show the Cache's Folder and Size", icon="VIEWZOOM")
         draw_cache(layout, STATE)
-        row = layout.row(heading="Asset library")
+        row = layout.row(align=True)
+        row.label(text="Asset library")
         row.operator("hnf.assets_add", text="Add")
         row.operator("hnf.assets_remove", text="Remove")
         layout.label(text="No torch needed: drawing, baking, preview and export run in Blender as it is", icon="INFO")

@@ -174,5 +174,7 @@ def shortened(text: str, most: int) -> str:
 
 def wrapped(text: str, most: int) -> Sequence[str]:
     """Lines of at most `most` characters; a word longer than that (a path) is broken."""
-    lines = [line for part in text.splitlines() for line in textwrap.wrap(part, max(most, 8)) or [""]]
+    lines = [
+        line for part in text.splitlines() for line in textwrap.wrap(part, max(most, 8), break_on_hyphens=False) or [""]
+    ]
     return lines or [""]

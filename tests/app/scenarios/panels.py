@@ -4,7 +4,7 @@ from pathlib import Path
 
 import bpy
 from drive import scenery
-from drive.addon import baked, kept, state, strokes
+from drive.addon import baked, heard, kept, state, strokes
 
 SCREEN = "1280x1900"
 LONG = "Weathered oak plank from the harbour warehouse, second floor, left of the window"
@@ -37,7 +37,7 @@ def check_a_stroke_that_is_not_baked(stage):
         bpy.ops.hnf.stroke_select(name=obj.name)
         bpy.ops.hnf.suggest()
         bpy.ops.hnf.plan()
-    yield from stage.picture("unbaked")
+    yield from stage.picture("unbaked", settle=2.0)
     stage.expect("the plan is there", state().plan is not None)
 
 
@@ -49,8 +49,8 @@ def check_everything_baked(stage):
     yield from baked(stage)
     with stage.over():
         bpy.ops.hnf.plan()
-    yield 0.5
-    yield from stage.picture("baked")
+    yield from stage.until("its signal is there", lambda: heard("Stroke") is not None, 20.0)
+    yield from stage.picture("baked", settle=2.0)
     stage.expect("four strokes with bakes", len(strokes()) == 4 and all(kept()[obj.name][-1] for obj in strokes()))
 
 
