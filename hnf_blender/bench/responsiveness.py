@@ -8,24 +8,17 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
-
-import numpy as np
 
 from hnf_core.bench.frame import Options, Row, Spread
 from hnf_core.errors import HnfError
 
 from .needs import need_bpy
+from .stage import CUTS, QUICK_CUTS, STROKES, plate_with_strokes, playing, stroke_names
 
 NAME = "responsiveness"
-CUTS, QUICK_CUTS = 316, 8
-"""Faces along each side of the plate: 99,856 of them, or 64."""
-SIZE_M = 0.2
-STROKES = 3
 JOB_TICK_S, LOOK_TICK_S, EDIT_S, STEP_S = 0.1, 0.25, 0.5, 0.01
 LIMIT_S = 300.0
 CANCEL_AT_S = (0.0, 0.1, 0.3, 0.6, 1.0, 1.5)
@@ -45,8 +38,8 @@ def rows(options: Options) -> list[Row]:
     waits: Waits = {}
     for repeat in range(options.repeats):
         options.watch(f"{NAME}: bake {repeat + 1} of {options.repeats}")
-        with _playing() as (scene, layer):
-            faces = len(_scene(QUICK_CUTS if options.quick else CUTS).data.polygons)
+        with playing() as (scene, layer):
+            faces = len(plate_with_strokes(QUICK_CUTS if options.quick else CUTS).data.polygons)
             _saved_copy(waits)
             for pause in CANCEL_AT_S[:1] if options.quick else CANCEL_AT_S:
                 _started_and_cancelled(scene, layer, waits, pause)
@@ -71,11 +64,11 @@ def _baked(scene: Any, layer: Any, waits: Waits) -> None:
     from ..state.watch import drain
 
     def told(changed: Any, depsgraph: Any) -> None:
-        _timed(waits, "handler", lambda: note_changes(changed, depsgraph))
+        timed_into(waits, "handler", lambda: note_changes(changed, depsgraph))
 
     stroke = scene.objects["Beside"]
     began = time.perf_counter()
-    bake: Bake = _timed(waits, "start", lambda: current.start(scene, layer, _names()))
+    bake: Bake = timed_into(waits, "start", lambda: current.start(scene, layer, stroke_names()))
     next_job = next_look = next_edit = 0.0
     bpy.app.handlers.depsgraph_update_post.append(told)
     try:
@@ -90,11 +83,11 @@ def _baked(scene: Any, layer: Any, waits: Waits) -> None:
                 layer.update()
             if now >= next_look:
                 next_look = now + LOOK_TICK_S
-                _timed(waits, "look at what changed", lambda: drain(((scene, layer),)))
+                timed_into(waits, "look at what changed", lambda: drain(((scene, layer),)))
             if now >= next_job:
                 next_job = now + JOB_TICK_S
                 stage = "tick, commit" if bake.is_committing else "tick, child at work"
-                ended = _timed(waits, stage, current.tick)
+                ended = timed_into(waits, stage, current.tick)
             time.sleep(STEP_S)
     finally:
         bpy.app.handlers.depsgraph_update_post.remove(told)
@@ -109,91 +102,27 @@ def _saved_copy(waits: Waits) -> None:
     from ..jobs.running import save_copy
 
     with tempfile.TemporaryDirectory() as folder:
-        _timed(waits, "save a copy", lambda: save_copy(Path(folder) / "copy.blend"))
+        timed_into(waits, "save a copy", lambda: save_copy(Path(folder) / "copy.blend"))
 
 
 def _started_and_cancelled(scene: Any, layer: Any, waits: Waits, pause: float) -> None:
     from ..jobs import current
     from ..jobs.folder import is_alive
 
-    bake = current.start(scene, layer, _names())
+    bake = current.start(scene, layer, stroke_names())
     time.sleep(pause)
     current.tick()
     pid = bake.pid
     started = time.perf_counter()
-    _timed(waits, "cancel", current.cancel)
+    timed_into(waits, "cancel", current.cancel)
     while pid is not None and is_alive(pid):
         time.sleep(0.001)
     waits.setdefault("cancel → the child is gone", []).append(time.perf_counter() - started)
 
 
-def _timed(waits: Waits, name: str, function: Callable[[], Any]) -> Any:
+def timed_into(waits: Waits, name: str, function: Callable[[], Any]) -> Any:
     started = time.perf_counter()
     try:
         return function()
     finally:
         waits.setdefault(name, []).append(time.perf_counter() - started)
-
-
-@contextmanager
-def _playing() -> Iterator[tuple[Any, Any]]:
-    """An empty file with the add-on's properties, and a cache of its own; (scene, view layer)."""
-    import bpy
-
-    from .. import props
-    from ..jobs import current, running
-    from ..state.session import STATE
-    from ..state.warm import is_ready
-    from ..state.watch import forget
-
-    while not is_ready():
-        time.sleep(STEP_S)
-    if not hasattr(bpy.types.Object, "hnf_stroke"):
-        props.register()
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    with tempfile.TemporaryDirectory() as folder, patch.object(running, "cache_folder", lambda: Path(folder)):
-        try:
-            yield bpy.context.scene, bpy.context.view_layer
-        finally:
-            current.cancel()
-            forget()
-            STATE.clear()
-
-
-def _scene(cuts: int) -> Any:
-    """A plate of cuts × cuts faces with strokes on it, one more of them to be edited."""
-    import bpy
-
-    mesh = bpy.data.meshes.new("Plate")
-    side = np.linspace(-SIZE_M / 2.0, SIZE_M / 2.0, cuts + 1)
-    x, y = np.meshgrid(side, side)
-    corner = (np.arange(cuts)[:, None] * (cuts + 1) + np.arange(cuts)).reshape(-1, 1)
-    mesh.from_pydata(
-        np.stack([x, y, 0.0 * x], axis=-1).reshape(-1, 3), [], corner + np.array([0, 1, cuts + 2, cuts + 1])
-    )
-    plate = bpy.data.objects.new("Plate", mesh)
-    bpy.context.scene.collection.objects.link(plate)
-    for name in (*_names(), "Beside"):
-        _stroke(name, plate, turned=0.4 * len(name))
-    bpy.context.view_layer.update()
-    return plate
-
-
-def _names() -> tuple[str, ...]:
-    return tuple(f"Stroke {'i' * (k + 1)}" for k in range(STROKES))
-
-
-def _stroke(name: str, plate: Any, turned: float) -> None:
-    """60 mm through the middle of the plate at 100 mm/s."""
-    import bpy
-
-    curve = bpy.data.curves.new(name, "CURVE")
-    curve.dimensions = "3D"
-    spline = curve.splines.new("POLY")
-    spline.points.add(1)
-    for point, side in zip(spline.points, (-0.03, 0.03), strict=True):
-        point.co = (side * np.cos(turned), side * np.sin(turned), 0.0, 1.0)
-    obj = bpy.data.objects.new(name, curve)
-    bpy.context.scene.collection.objects.link(obj)
-    group = obj.hnf_stroke
-    group.is_stroke, group.surface, group.start, group.force = True, plate, 1.0, 1.0

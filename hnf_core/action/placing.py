@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..scene.mesh import TriangleMesh
-from ..scene.raycast import RayCaster
+from ..scene.raycast import RayCaster, closest_barycentric
 from .contacts import interpolated_normals, tangents
-from .nearest import nearest_on_triangles
 
 Float = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -97,24 +96,26 @@ def candidates(mesh: TriangleMesh, slot: int) -> tuple[Float, Float, Float]:
 
 def _middles(mesh: TriangleMesh, chosen: NDArray[np.intp], area: Float) -> tuple[NDArray[np.intp], Float]:
     """For the largest polygons: a triangle that holds the polygon's middle, and barycentric weights there."""
-    _, inverse = np.unique(mesh.face[chosen], return_inverse=True)
-    size = np.bincount(inverse, weights=area)
-    centroid = mesh.vertices[mesh.triangles[chosen]].mean(axis=1)
-    middle = np.stack([np.bincount(inverse, weights=area * centroid[:, k]) for k in range(3)], axis=1)
-    triangles, weights = [], []
-    count = np.bincount(inverse)
-    for face in np.argsort(-size, kind="stable")[:LARGEST_FACES]:
-        if size[face] <= 0.0:
-            continue
-        mine = chosen[inverse == face]
-        if count[face] == 1:
-            triangles.append(int(mine[0]))
-            weights.append(np.full(3, 1.0 / 3.0))
-            continue
-        near = nearest_on_triangles((middle[face] / size[face])[None], mesh.vertices[mesh.triangles[mine]])
-        triangles.append(int(mine[near.triangle[0]]))
-        weights.append(near.barycentric[0])
-    return np.array(triangles, dtype=np.intp), np.array(weights).reshape(-1, 3)
+    face = mesh.face[chosen]
+    size = np.bincount(face, weights=area)
+    largest = np.argsort(-size, kind="stable")[:LARGEST_FACES]
+    largest = largest[size[largest] > 0.0]
+    rank = np.full(len(size), -1, dtype=np.intp)
+    rank[largest] = np.arange(len(largest))
+    mine = np.flatnonzero(rank[face] >= 0)
+    whose, triangle = rank[face[mine]], chosen[mine]
+    corners = mesh.vertices[mesh.triangles[triangle]]
+    centroid = corners.mean(axis=1)
+    weighted = [np.bincount(whose, weights=area[mine] * centroid[:, k]) for k in range(3)]
+    middle = (np.stack(weighted, axis=1) / size[largest, None])[whose]
+    weights = closest_barycentric(corners, middle)
+    gap = np.linalg.norm(np.einsum("nc,ncx->nx", weights, corners) - middle, axis=1)
+    least = np.full(len(largest), np.inf)
+    np.minimum.at(least, whose, gap)
+    # Across a shared edge rounding decides; a tie of a nanometre goes to the lower index instead.
+    near = np.flatnonzero(gap <= least[whose] + 1e-9)
+    first = near[np.unique(whose[near], return_index=True)[1]]
+    return triangle[first], weights[first]
 
 
 def lay(

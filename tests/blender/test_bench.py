@@ -9,7 +9,7 @@ import build_extension
 import pytest
 from job_scene import my_folders
 
-from hnf_blender.bench import enable, responsiveness
+from hnf_blender.bench import authoring, enable, responsiveness
 from hnf_blender.bench.catalogue import BENCHES
 from hnf_blender.cli import main
 from hnf_blender.jobs import current
@@ -20,7 +20,7 @@ from hnf_core.bench.frame import Options
 def test_every_bench_has_a_name_of_its_own():
     names = [bench.name for bench in BENCHES]
     assert len(set(names)) == len(names)
-    assert {"enable", "responsiveness", "preview"} <= set(names)
+    assert {"enable", "responsiveness", "authoring", "preview"} <= set(names)
 
 
 def test_switching_the_add_on_on_loads_nothing_heavy():
@@ -57,3 +57,11 @@ def test_the_command_line_knows_them(capsys):
 
 def test_the_extension_holds_no_bench():
     assert build_extension.SKIPPED("hnf_core", ["bench", "bench.py", "cli"]) == {"bench"}
+
+
+def test_a_stroke_is_drawn_and_placed():
+    drawn, placed = authoring.rows(Options(repeats=2, quick=True))
+    assert drawn.seconds.count == placed.seconds.count == 2
+    samples, knots = (int(word) for word in drawn.note.replace(" samples →", "").replace(" knots", "").split())
+    assert 2 <= knots < samples == 100
+    assert placed.method.startswith("place ")

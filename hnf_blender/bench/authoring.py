@@ -1,0 +1,56 @@
+"""How long Blender waits for us when a stroke is made: drawn by hand, or a ready one placed."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from hnf_core.action.pen_stroke import PenSamples, PenStyle
+from hnf_core.action.primitives import PRIMITIVES
+from hnf_core.bench.frame import Options, Row, Spread, timed
+
+from .needs import need_bpy
+from .stage import CUTS, QUICK_CUTS, plate_with_strokes, playing
+
+NAME = "authoring"
+SECONDS, QUICK_SECONDS = 10.0, 1.0
+EVENTS_HZ = 100.0
+PIXEL_M = 0.3e-3
+"""What a hand draws comes in steps of the screen."""
+PRIMITIVE = next(iter(PRIMITIVES))
+
+
+def rows(options: Options) -> list[Row]:
+    """One row for each way to make a stroke. Raises HnfError without bpy. Empties the file that is open."""
+    need_bpy(NAME)
+    from ..bridge.drawn_stroke import new_drawn_stroke
+    from ..bridge.placement import place_primitive
+
+    seconds = QUICK_SECONDS if options.quick else SECONDS
+    samples, drawn, placed, knots = scribble(seconds), [], [], 0
+    with playing() as (scene, layer):
+        plate = plate_with_strokes(QUICK_CUTS if options.quick else CUTS)
+        for repeat in range(options.repeats):
+            options.watch(f"{NAME}: {repeat + 1} of {options.repeats}")
+            depsgraph = layer.depsgraph
+            draw = partial(new_drawn_stroke, scene, depsgraph, plate, samples, PenStyle())
+            took, made = timed(partial(draw, start_frame=1.0, probe="pen", metres_per_unit=1.0))
+            drawn.append(took)
+            knots = len(made.drawn.path.knot)
+            placed.append(timed(partial(place_primitive, scene, plate, None, PRIMITIVE, 1.0, depsgraph))[0])
+            layer.update()
+    return [
+        Row(NAME, f"draw {seconds:g} s", Spread.of(drawn), note=f"{len(samples.time)} samples → {knots} knots"),
+        Row(NAME, f"place {PRIMITIVE}", Spread.of(placed)),
+    ]
+
+
+def scribble(seconds: float) -> PenSamples:
+    """A hand's loops over 6 cm of the plane z = 0, as a pen tells of them."""
+    time = np.arange(round(seconds * EVENTS_HZ)) / EVENTS_HZ
+    turn = 2.0 * np.pi * time
+    x = 0.02 * np.sin(0.7 * turn) + 0.01 * np.sin(1.3 * turn + 1.0)
+    point = np.stack([x, 0.02 * np.cos(0.9 * turn), np.zeros_like(time)], axis=1)
+    pressure = 0.5 + 0.2 * np.sin(0.5 * turn)
+    return PenSamples(time, np.round(point / PIXEL_M) * PIXEL_M, pressure, np.ones(len(time), dtype=bool))

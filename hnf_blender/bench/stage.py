@@ -1,0 +1,82 @@
+"""A file to measure in: a plate of many faces with strokes on it."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+CUTS, QUICK_CUTS = 316, 8
+"""Faces along each side of the plate: 99,856 of them, or 64."""
+SIZE_M = 0.2
+STROKES = 3
+
+
+@contextmanager
+def playing() -> Iterator[tuple[Any, Any]]:
+    """An empty file with the add-on's properties, and a cache of its own; (scene, view layer)."""
+    import bpy
+
+    from .. import props
+    from ..jobs import current, running
+    from ..state.session import STATE
+    from ..state.warm import is_ready
+    from ..state.watch import forget
+
+    while not is_ready():
+        time.sleep(0.01)
+    if not hasattr(bpy.types.Object, "hnf_stroke"):
+        props.register()
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with tempfile.TemporaryDirectory() as folder, patch.object(running, "cache_folder", lambda: Path(folder)):
+        try:
+            yield bpy.context.scene, bpy.context.view_layer
+        finally:
+            current.cancel()
+            forget()
+            STATE.clear()
+
+
+def plate_with_strokes(cuts: int) -> Any:
+    """A plate of cuts × cuts faces with strokes on it, one more of them to be edited."""
+    import bpy
+
+    mesh = bpy.data.meshes.new("Plate")
+    side = np.linspace(-SIZE_M / 2.0, SIZE_M / 2.0, cuts + 1)
+    x, y = np.meshgrid(side, side)
+    corner = (np.arange(cuts)[:, None] * (cuts + 1) + np.arange(cuts)).reshape(-1, 1)
+    mesh.from_pydata(
+        np.stack([x, y, 0.0 * x], axis=-1).reshape(-1, 3), [], corner + np.array([0, 1, cuts + 2, cuts + 1])
+    )
+    plate = bpy.data.objects.new("Plate", mesh)
+    bpy.context.scene.collection.objects.link(plate)
+    for name in (*stroke_names(), "Beside"):
+        _stroke(name, plate, turned=0.4 * len(name))
+    bpy.context.view_layer.update()
+    return plate
+
+
+def stroke_names() -> tuple[str, ...]:
+    return tuple(f"Stroke {'i' * (k + 1)}" for k in range(STROKES))
+
+
+def _stroke(name: str, plate: Any, turned: float) -> None:
+    """60 mm through the middle of the plate at 100 mm/s."""
+    import bpy
+
+    curve = bpy.data.curves.new(name, "CURVE")
+    curve.dimensions = "3D"
+    spline = curve.splines.new("POLY")
+    spline.points.add(1)
+    for point, side in zip(spline.points, (-0.03, 0.03), strict=True):
+        point.co = (side * np.cos(turned), side * np.sin(turned), 0.0, 1.0)
+    obj = bpy.data.objects.new(name, curve)
+    bpy.context.scene.collection.objects.link(obj)
+    group = obj.hnf_stroke
+    group.is_stroke, group.surface, group.start, group.force = True, plate, 1.0, 1.0
