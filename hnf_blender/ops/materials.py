@@ -108,7 +108,7 @@ class HNF_OT_material_choose(bpy.types.Operator):  # type: ignore[misc]  # noqa:
         if self.properties.is_property_set("name"):
             return self.execute(context)
         context.window_manager.invoke_search_popup(self)
-        return {"RUNNING_MODAL"}
+        return {"INTERFACE"}  # "RUNNING_MODAL", as in Blender's examples, would never free the operator
 
     def execute(self, _context: Any) -> set[str]:
         return _write(self, self.material, self.name)
@@ -141,7 +141,7 @@ class HNF_OT_stroke_material(bpy.types.Operator):  # type: ignore[misc]  # noqa:
 
     def invoke(self, context: Any, _event: Any) -> set[str]:
         context.window_manager.invoke_search_popup(self)
-        return {"RUNNING_MODAL"}
+        return {"INTERFACE"}  # "RUNNING_MODAL", as in Blender's examples, would never free the operator
 
     def execute(self, context: Any) -> set[str]:
         active_stroke(context).hnf_stroke.material = self.name

@@ -17,6 +17,8 @@ ROOT = Path(__file__).resolve().parents[2]
 TAKEN = ROOT / "build" / "app"
 SHOWN = ROOT / "docs" / "images" / "ui"
 LARGEST_BYTES = 200_000
+EXACT_BYTES = 100_000
+"""Above this a picture gets a palette, which may take rare colours from it."""
 COLOURS = 255
 
 
@@ -33,8 +35,8 @@ CHOSEN: dict[str, Cut] = {
     "first-new-file": Cut("tutorial/new-file", (300, 55, 1116, 840)),
     "first-choose": Cut("tutorial/choose", (60, 55, 1116, 1010)),
     "first-drawing": Cut("tutorial/drawing", (0, 55, 1116, 900)),
-    "first-baking": Cut("tutorial/baking", (830, 80, 1090, 205)),
-    "first-preview": Cut("tutorial/heard", (830, 935, 1090, 1440)),
+    "first-baking": Cut("tutorial/baking", (830, 80, 1090, 200)),
+    "first-preview": Cut("tutorial/heard", (830, 935, 1090, 1345)),
     "first-harder": Cut("tutorial/harder", (0, 55, 1116, 1465)),
     "first-sequencer": Cut("tutorial/sequencer", (0, 915, 1116, 1465)),
     "panel-scene": Cut("tutorial/heard", (830, 80, 1090, 250)),
@@ -53,8 +55,10 @@ def cut(name: str) -> Path:
         picture = screen.convert("RGB").crop(chosen.box or (0, 0, *screen.size))
     SHOWN.mkdir(parents=True, exist_ok=True)
     path = SHOWN / f"{name}.png"
-    # A user interface has few colours: a palette without dithering keeps letters sharp at a third of the size.
-    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
+    picture.save(path, optimize=True)
+    if path.stat().st_size > EXACT_BYTES:
+        # A user interface has few colours: a palette without dithering keeps letters sharp at a third of the size.
+        picture.quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
     if path.stat().st_size > LARGEST_BYTES:
         raise ValueError(f"{path} has {path.stat().st_size} bytes, more than {LARGEST_BYTES}. Cut it smaller.")
     return path
