@@ -19,7 +19,7 @@ SCENARIOS = Path(__file__).parent / "scenarios"
 HERE = "/hnf/tests/app"  # this folder, seen from inside
 COMPLAINTS = ("Traceback (most recent", "Error:", "Exception in module", "Segmentation fault", "rna_uiItemR")
 TAIL_LINES = 40
-PLAY_LIMIT_S = 280.0
+PLAY_LIMIT_S = 400.0
 
 
 @dataclass(frozen=True)
