@@ -31,8 +31,8 @@ def commands(page: Path) -> Iterator[str]:
     for language, block in FENCE.findall(page.read_text(encoding="utf-8")):
         if language in ("", "bash", "sh"):
             for line in block.replace("\\\n", " ").splitlines():
-                if stripped := re.sub(r"(^|\s)#.*$", "", line).strip():
-                    yield stripped
+                spoken = re.sub(r"(^|\s)#.*$", "", line)
+                yield from (each.strip() for each in spoken.split("&&") if each.strip())
 
 
 def anchors(page: Path) -> set[str]:
