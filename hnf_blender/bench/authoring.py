@@ -8,7 +8,7 @@ import numpy as np
 
 from hnf_core.action.pen_stroke import PenSamples, PenStyle
 from hnf_core.action.primitives import PRIMITIVES
-from hnf_core.bench.frame import Options, Row, Spread, timed
+from hnf_core.bench.frame import Options, Row, Times
 
 from .needs import need_bpy
 from .stage import CUTS, QUICK_CUTS, plate_with_strokes, playing
@@ -28,21 +28,20 @@ def rows(options: Options) -> list[Row]:
     from ..bridge.placement import place_primitive
 
     seconds = QUICK_SECONDS if options.quick else SECONDS
-    samples, drawn, placed, knots = scribble(seconds), [], [], 0
+    samples, drawn, placed, knots = scribble(seconds), Times(), Times(), 0
     with playing() as (scene, layer):
         plate = plate_with_strokes(QUICK_CUTS if options.quick else CUTS)
         for repeat in range(options.repeats):
             options.watch(f"{NAME}: {repeat + 1} of {options.repeats}")
             depsgraph = layer.depsgraph
             draw = partial(new_drawn_stroke, scene, depsgraph, plate, samples, PenStyle())
-            took, made = timed(partial(draw, start_frame=1.0, probe="pen", metres_per_unit=1.0))
-            drawn.append(took)
+            made = drawn.take(partial(draw, start_frame=1.0, probe="pen", metres_per_unit=1.0))
             knots = len(made.drawn.path.knot)
-            placed.append(timed(partial(place_primitive, scene, plate, None, PRIMITIVE, 1.0, depsgraph))[0])
+            placed.take(partial(place_primitive, scene, plate, None, PRIMITIVE, 1.0, depsgraph))
             layer.update()
     return [
-        Row(NAME, f"draw {seconds:g} s", Spread.of(drawn), note=f"{len(samples.time)} samples → {knots} knots"),
-        Row(NAME, f"place {PRIMITIVE}", Spread.of(placed)),
+        Row(NAME, f"draw {seconds:g} s", drawn.seconds, drawn.cpu, note=f"{len(samples.time)} samples → {knots} knots"),
+        Row(NAME, f"place {PRIMITIVE}", placed.seconds, placed.cpu),
     ]
 
 

@@ -70,13 +70,13 @@ def rows(options: Options) -> list[Row]:
         runs.append(switch_on())
     heavy = ", ".join(runs[-1].heavy) or "none"
     return [
-        Row(NAME, "import numpy", Spread.of([run.numpy_s for run in runs])),
+        Row(NAME, "import numpy", cpu=Spread.of([run.numpy_s for run in runs])),
         Row(
             NAME,
             "switch the add-on on",
-            Spread.of([run.addon_s for run in runs]),
-            Spread.of([run.addon_s / run.numpy_s for run in runs]),
-            "import numpy",
+            cpu=Spread.of([run.addon_s for run in runs]),
+            ratio=Spread.of([run.addon_s / run.numpy_s for run in runs]),
+            ratio_to="import numpy",
             peak_mb=peak_mb,
             note=f"{len(runs[-1].modules)} modules; heavy ones: {heavy}",
         ),

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable
+from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
-from hnf_core.bench.frame import Options, Row, Spread
+from hnf_core.bench.frame import Options, Row, Times
 from hnf_core.errors import HnfError
 
 from .needs import need_bpy
@@ -26,7 +26,7 @@ CANCEL_AT_S = (0.0, 0.1, 0.3, 0.6, 1.0, 1.5)
 
 WHOLE = "the whole bake, beside the window"
 
-Waits = dict[str, list[float]]
+Waits = dict[str, Times]
 
 
 def rows(options: Options) -> list[Row]:
@@ -35,7 +35,7 @@ def rows(options: Options) -> list[Row]:
     Empties the file that is open.
     """
     need_bpy(NAME)
-    waits: Waits = {}
+    waits: Waits = defaultdict(Times)
     for repeat in range(options.repeats):
         options.watch(f"{NAME}: bake {repeat + 1} of {options.repeats}")
         with playing() as (scene, layer):
@@ -50,7 +50,7 @@ def rows(options: Options) -> list[Row]:
         "cancel": f"{', '.join(f'{pause:g}' for pause in CANCEL_AT_S)} s after the start",
         WHOLE: f"{STROKES} strokes, no close-up there yet",
     }
-    return [Row(NAME, name, Spread.of(found), note=notes.get(name, "")) for name, found in waits.items()]
+    return [Row(NAME, name, found.seconds, found.cpu, note=notes.get(name, "")) for name, found in waits.items()]
 
 
 def _baked(scene: Any, layer: Any, waits: Waits) -> None:
@@ -64,11 +64,11 @@ def _baked(scene: Any, layer: Any, waits: Waits) -> None:
     from ..state.watch import drain
 
     def told(changed: Any, depsgraph: Any) -> None:
-        timed_into(waits, "handler", lambda: note_changes(changed, depsgraph))
+        waits["handler"].take(lambda: note_changes(changed, depsgraph))
 
     stroke = scene.objects["Beside"]
     began = time.perf_counter()
-    bake: Bake = timed_into(waits, "start", lambda: current.start(scene, layer, stroke_names()))
+    bake: Bake = waits["start"].take(lambda: current.start(scene, layer, stroke_names()))
     next_job = next_look = next_edit = 0.0
     bpy.app.handlers.depsgraph_update_post.append(told)
     try:
@@ -83,18 +83,18 @@ def _baked(scene: Any, layer: Any, waits: Waits) -> None:
                 layer.update()
             if now >= next_look:
                 next_look = now + LOOK_TICK_S
-                timed_into(waits, "look at what changed", lambda: drain(((scene, layer),)))
+                waits["look at what changed"].take(lambda: drain(((scene, layer),)))
             if now >= next_job:
                 next_job = now + JOB_TICK_S
                 stage = "tick, commit" if bake.is_committing else "tick, child at work"
-                ended = timed_into(waits, stage, current.tick)
+                ended = waits[stage].take(current.tick)
             time.sleep(STEP_S)
     finally:
         bpy.app.handlers.depsgraph_update_post.remove(told)
         current.cancel()
     if not ended.ok:
         raise HnfError(f"the bake failed: {ended.message}", where=NAME)
-    waits.setdefault(WHOLE, []).append(time.perf_counter() - began)
+    waits[WHOLE].note(time.perf_counter() - began)
     STATE.dirty.clear()
 
 
@@ -102,7 +102,7 @@ def _saved_copy(waits: Waits) -> None:
     from ..jobs.running import save_copy
 
     with tempfile.TemporaryDirectory() as folder:
-        timed_into(waits, "save a copy", lambda: save_copy(Path(folder) / "copy.blend"))
+        waits["save a copy"].take(lambda: save_copy(Path(folder) / "copy.blend"))
 
 
 def _started_and_cancelled(scene: Any, layer: Any, waits: Waits, pause: float) -> None:
@@ -114,15 +114,7 @@ def _started_and_cancelled(scene: Any, layer: Any, waits: Waits, pause: float) -
     current.tick()
     pid = bake.pid
     started = time.perf_counter()
-    timed_into(waits, "cancel", current.cancel)
+    waits["cancel"].take(current.cancel)
     while pid is not None and is_alive(pid):
         time.sleep(0.001)
-    waits.setdefault("cancel → the child is gone", []).append(time.perf_counter() - started)
-
-
-def timed_into(waits: Waits, name: str, function: Callable[[], Any]) -> Any:
-    started = time.perf_counter()
-    try:
-        return function()
-    finally:
-        waits.setdefault(name, []).append(time.perf_counter() - started)
+    waits["cancel → the child is gone"].note(time.perf_counter() - started)

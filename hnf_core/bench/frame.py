@@ -6,9 +6,11 @@ import time
 import tracemalloc
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -31,11 +33,47 @@ class Spread:
         )
 
 
+class Times:
+    """The same thing, measured again and again."""
+
+    def __init__(self) -> None:
+        self._walls: list[float] = []
+        self._cpus: list[float] = []
+
+    def take(self, function: Callable[[], Result]) -> Result:
+        """Run it, note how long it took, and return what it returned."""
+        wall, cpu = time.perf_counter(), time.thread_time()
+        try:
+            return function()
+        finally:
+            self._walls.append(time.perf_counter() - wall)
+            self._cpus.append(time.thread_time() - cpu)
+
+    def note(self, wall_s: float) -> None:
+        """What was measured elsewhere."""
+        self._walls.append(wall_s)
+
+    @property
+    def seconds(self) -> Spread:
+        """On the wall."""
+        return Spread.of(self._walls)
+
+    @property
+    def cpu(self) -> Spread | None:
+        """Of the thread that called; None where others did the work."""
+        return Spread.of(self._cpus) if self._cpus else None
+
+    def ratio(self, other: Times) -> Spread:
+        """This to the other, measurement by measurement, of CPU."""
+        return Spread.of([mine / its for mine, its in zip(self._cpus, other._cpus, strict=True)])
+
+
 @dataclass(frozen=True)
 class Row:
     """One method of one bench.
 
-    seconds: that it took. ratio: to the row named ratio_to, measured in pairs, which leaves the machine's own pace out.
+    seconds: that it took on the wall. cpu: of them, those the machine gave to us, which says more on a busy one.
+    ratio: to the row named ratio_to, measured in pairs, which leaves the machine's own pace out.
     error: against the reference, in error_unit, the largest that was met. peak_mb: allocated beyond what was there. A
     faster method has an error, if only 0; what None says is that the thing has no result to be wrong.
     """
@@ -43,6 +81,7 @@ class Row:
     bench: str
     method: str
     seconds: Spread | None = None
+    cpu: Spread | None = None
     ratio: Spread | None = None
     ratio_to: str = ""
     error: float | None = None
@@ -51,9 +90,9 @@ class Row:
     note: str = ""
 
     def to_json(self) -> dict[str, Any]:
-        """seconds and ratio: medians; seconds_spread and ratio_spread: all of it."""
+        """seconds, cpu and ratio: medians; seconds_spread and so on: all of it."""
         record = asdict(self)
-        for name in ("seconds", "ratio"):
+        for name in ("seconds", "cpu", "ratio"):
             spread = record[name]
             record[f"{name}_spread"] = spread
             record[name] = None if spread is None else spread["median"]
@@ -77,13 +116,6 @@ class Bench:
     name: str
     what: str
     rows: Callable[[Options], list[Row]]
-
-
-def timed(function: Callable[[], Any]) -> tuple[float, Any]:
-    """Seconds on the wall, and what it returned."""
-    started = time.perf_counter()
-    result = function()
-    return time.perf_counter() - started, result
 
 
 def peak_mb(function: Callable[[], Any]) -> float:

@@ -12,7 +12,7 @@ from ..field.incremental import Rendered, render
 from ..field.stroke import StrokeInput, uniform_stroke
 from ..field.weights import load_field
 from ..material.library import find
-from .frame import Options, Row, Spread, peak_mb, timed
+from .frame import Options, Row, Times, peak_mb
 
 NAME = "preview"
 MATERIAL = "oak-wood"
@@ -35,21 +35,20 @@ def rows(options: Options) -> list[Row]:
 def _of(seconds: float, repeats: int) -> list[Row]:
     field = load_field()
     before = render(field, _stroke(seconds, 0.0), seed=SEED)
-    wholes, parts, error, rendered = [], [], 0.0, 0
+    wholes, parts, error, rendered = Times(), Times(), 0.0, 0
     for repeat in range(repeats):
         changed = _stroke(seconds, 0.1 * (repeat + 1))
-        whole_s, whole = timed(partial(render, field, changed, seed=SEED))
-        part_s, part = timed(partial(render, field, changed, seed=SEED, earlier=before))
-        wholes.append(whole_s)
-        parts.append(part_s)
+        whole = wholes.take(partial(render, field, changed, seed=SEED))
+        part = parts.take(partial(render, field, changed, seed=SEED, earlier=before))
         error, rendered = max(error, _difference(whole, part)), part.rendered
     again = partial(render, field, _stroke(seconds, 0.5), seed=SEED)
-    all_anew = Row(NAME, f"all anew, {seconds:g} s", Spread.of(wholes), peak_mb=peak_mb(again))
+    all_anew = Row(NAME, f"all anew, {seconds:g} s", wholes.seconds, wholes.cpu, peak_mb=peak_mb(again))
     from_before = Row(
         NAME,
         f"one key, {seconds:g} s",
-        Spread.of(parts),
-        Spread.of([part / whole for part, whole in zip(parts, wholes, strict=True)]),
+        parts.seconds,
+        parts.cpu,
+        parts.ratio(wholes),
         all_anew.method,
         error,
         "m/s²",

@@ -6,7 +6,9 @@ from collections.abc import Mapping, Sequence
 
 from .frame import Row, Spread
 
-HEADER = ("bench", "method", "median", "99 %", "longest", "times", "ratio", "error", "peak MB", "")
+HEADER = (
+    "bench", "method", "median", "99 %", "longest", "CPU", "longest CPU", "times", "ratio of CPU", "error", "peak MB", "",
+)  # fmt: skip
 
 
 def markdown(rows: Sequence[Row], machine: Mapping[str, str]) -> str:
@@ -17,15 +19,17 @@ def markdown(rows: Sequence[Row], machine: Mapping[str, str]) -> str:
 
 
 def _cells(row: Row) -> tuple[str, ...]:
-    spread = row.seconds
-    times = ("", "", "", "") if spread is None else (*_times(spread), str(spread.count))
+    wall = ("", "", "") if row.seconds is None else _durations(row.seconds)
+    cpu = ("", "") if row.cpu is None else _durations(row.cpu)[::2]
+    counted = row.seconds or row.cpu or row.ratio
+    times = "" if counted is None else str(counted.count)
     ratio = "" if row.ratio is None else f"{row.ratio.median:.3g} × {row.ratio_to} ({_range(row.ratio)})"
     error = "" if row.error is None else f"{row.error:.3g} {row.error_unit}".strip()
     peak = "" if row.peak_mb is None else f"{row.peak_mb:.1f}"
-    return (row.bench, row.method, *times, ratio, error, peak, row.note)
+    return (row.bench, row.method, *wall, *cpu, times, ratio, error, peak, row.note)
 
 
-def _times(spread: Spread) -> tuple[str, str, str]:
+def _durations(spread: Spread) -> tuple[str, str, str]:
     return duration(spread.median), duration(spread.p99), duration(spread.highest)
 
 

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from hnf_core.bench.catalogue import BENCHES
-from hnf_core.bench.frame import Bench, Options, Row, Spread, peak_mb, timed
+from hnf_core.bench.frame import Bench, Options, Row, Spread, Times, peak_mb
 from hnf_core.bench.machine import machine
 from hnf_core.bench.table import duration, markdown
 from hnf_core.cli.main import build_parser, main
@@ -28,9 +28,9 @@ def test_a_spread_is_of_what_was_measured():
 
 
 def test_a_row_as_json_has_medians_and_the_spread_beside():
-    record = Row("b", "fast", SPREAD, SPREAD, "slow", 1e-3, "m/s²", 2.5, "a note").to_json()
+    record = Row("b", "fast", SPREAD, SPREAD, SPREAD, "slow", 1e-3, "m/s²", 2.5, "a note").to_json()
     assert json.loads(json.dumps(record)) == record
-    assert record["seconds"] == record["ratio"] == 0.2
+    assert record["seconds"] == record["cpu"] == record["ratio"] == 0.2
     assert record["seconds_spread"]["count"] == 3
     assert (record["bench"], record["method"], record["error"], record["peak_mb"]) == ("b", "fast", 1e-3, 2.5)
     empty = Row("b", "said").to_json()
@@ -39,10 +39,11 @@ def test_a_row_as_json_has_medians_and_the_spread_beside():
 
 
 def test_the_table_has_a_cell_for_every_column_and_names_the_machine():
-    rows = [Row("b", "slow", SPREAD, peak_mb=1.0), Row("b", "fast", SPREAD, SPREAD, "slow", 0.0, "m/s²")]
+    rows = [Row("b", "slow", SPREAD, peak_mb=1.0), Row("b", "fast", SPREAD, SPREAD, SPREAD, "slow", 0.0, "m/s²")]
     text = markdown(rows, {"processor": "P", "cores": "2"})
     lines = text.splitlines()
-    assert {line.count("|") for line in lines[:4]} == {11}
+    assert {line.count("|") for line in lines[:4]} == {13}
+    assert lines[2] == "| b | slow |  |  |  | 200 ms | 300 ms | 3 |  |  | 1.0 |  |"
     assert "0 m/s²" in lines[3]
     assert "0.2 × slow (0.1–0.3)" in lines[3]
     assert lines[-1] == "processor P, cores 2"
@@ -56,8 +57,16 @@ def test_durations_have_three_digits(seconds, words):
 
 
 def test_what_is_timed_gives_its_result_and_what_is_held_is_counted():
-    seconds, result = timed(lambda: 3)
-    assert (seconds > 0.0, result) == (True, 3)
+    times, others = Times(), Times()
+    assert [times.take(lambda: sum(range(10_000))) for _ in range(2)] == [49_995_000] * 2
+    with pytest.raises(ZeroDivisionError):
+        others.take(lambda: 1 / 0)
+    others.take(lambda: sum(range(10_000)))
+    assert (times.seconds.count, times.cpu.count, times.ratio(others).count) == (2, 2, 2)
+    assert 0.0 < times.cpu.lowest <= times.seconds.highest
+    noted = Times()
+    noted.note(2.0)
+    assert (noted.seconds.median, noted.cpu) == (2.0, None)
     assert 8.0 < peak_mb(lambda: bytearray(10_000_000)) < 12.0
 
 
