@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from .frame import Row, Spread
 
-HEADER = (
-    "bench", "method", "median", "99 %", "longest", "CPU", "longest CPU", "times", "ratio of CPU", "error", "peak MB", "",
-)  # fmt: skip
+TIMES = ("median", "99 %", "longest", "CPU", "longest CPU", "times")
+HEADER = ("bench", "method", *TIMES, "ratio of CPU", "error", "peak MB", "")
 
 
 def markdown(rows: Sequence[Row], machine: Mapping[str, str]) -> str:

@@ -39,7 +39,10 @@ def test_a_row_as_json_has_medians_and_the_spread_beside():
 
 
 def test_the_table_has_a_cell_for_every_column_and_names_the_machine():
-    rows = [Row("b", "slow", SPREAD, peak_mb=1.0), Row("b", "fast", SPREAD, SPREAD, SPREAD, "slow", 0.0, "m/s²")]
+    rows = [
+        Row("b", "slow", cpu=SPREAD, peak_mb=1.0),
+        Row("b", "fast", SPREAD, ratio=SPREAD, ratio_to="slow", error=0.0, error_unit="m/s²"),
+    ]
     text = markdown(rows, {"processor": "P", "cores": "2"})
     lines = text.splitlines()
     assert {line.count("|") for line in lines[:4]} == {13}
