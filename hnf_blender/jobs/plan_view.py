@@ -11,6 +11,7 @@ from ..state.session import STATE, Freshness, PlanLine, PlanView, StrokeStatus
 from ..touch.jobs import Gathered, Job, Session, gather_curves, look_around
 from ..touch.plan import CLOSEUP_SECONDS, SYNTHESIS_SECONDS, patches_at_most
 from ..touch.stored import judge, stored_bytes
+from ..translations import tr
 from .work import is_done, scene_session
 
 START_SECONDS = 4.0
@@ -26,30 +27,32 @@ def make_plan(scene: Any, view_layer: Any) -> PlanView:
     found = gather_curves(session, stroke_objects(scene))
     look_around(session, found)
     lines: list[PlanLine] = []
+    stroke = tr("stroke '{name}'")
     seconds, needed = 0.0, []
     for job in found.jobs:
         curve = scene.objects[job.curve_name]
         status = STATE.strokes[curve.name] = judge(curve, job)
         if status.freshness is Freshness.FORCE or is_done(session, job):
-            lines.append(PlanLine("fresh", f"stroke '{job.name}'", status.why))
+            lines.append(PlanLine("fresh", stroke.format(name=job.name), status.why))
             continue
         length = 0.0 if job.stroke is None else job.stroke.length_m
         seconds += patches_at_most(length) * CLOSEUP_SECONDS + SYNTHESIS_SECONDS
         needed.append(job)
-        lines.append(PlanLine("needed", f"stroke '{job.name}' on '{job.object_name}'", _why(status)))
+        what = tr("stroke '{name}' on '{surface}'").format(name=job.name, surface=job.object_name)
+        lines.append(PlanLine("needed", what, _why(status)))
     if needed:
         seconds += START_SECONDS
     for failure in found.failed:
         STATE.strokes[failure.stroke] = StrokeStatus(Freshness.BROKEN, failure.why)
-        lines.append(PlanLine("failed", f"stroke '{failure.stroke}'", failure.why))
-    lines += [PlanLine("skipped", each.what, each.why) for each in found.skipped]
+        lines.append(PlanLine("failed", stroke.format(name=failure.stroke), failure.why))
+    lines += [PlanLine("skipped", each.what, tr(each.why)) for each in found.skipped]
     lines += [PlanLine("note", note, "") for note in found.notes]
     return PlanView(tuple(lines), seconds, _bytes_after(session, found, needed))
 
 
 def _why(status: StrokeStatus) -> str:
     if status.freshness is Freshness.FRESH:
-        return "Its surface does not carry its tokens."
+        return tr("Its surface does not carry its tokens.")
     return status.why
 
 

@@ -16,6 +16,7 @@ from hnf_core.errors import FileError, HnfError
 from ..bridge.quiet import quiet
 from ..state.folders import cache_folder
 from ..state.session import STATE, JobStatus, LastJob
+from ..translations import tr
 from .child import Child
 from .commit import Committed, Place, commit_steps, place_of
 from .folder import new_folder, remove_folder
@@ -212,25 +213,28 @@ def save_copy(path: Path) -> None:
 def told(result: Result, committed: Committed, seconds: float) -> LastJob:
     """A sentence for the status bar, with the first problem if there is one; the others, and notes, as details."""
     problems = [*result.failed, *committed.refused]
-    parts = [f"{_count(len(committed.strokes), 'stroke')} baked in {seconds:.0f} s"]
+    baked = tr("{strokes} baked in {seconds} s")
+    parts = [baked.format(strokes=_strokes(len(committed.strokes)), seconds=f"{seconds:.0f}")]
     if result.renders:
-        parts.append(_count(result.renders, "close-up"))
+        said = tr("1 close-up") if result.renders == 1 else tr("{count} close-ups")
+        parts.append(said.format(count=result.renders))
     if result.fresh:
-        parts.append(f"{result.fresh} fresh already")
+        parts.append(tr("{count} fresh already").format(count=result.fresh))
     message = ", ".join(parts) + "."
     if result.fresh and not committed.strokes and not problems:
-        message = f"Nothing to bake: {_count(result.fresh, 'stroke')} fresh already."
+        message = tr("Nothing to bake: {strokes} fresh already.").format(strokes=_strokes(result.fresh))
     if problems:
-        more = f" (and {_count(len(problems) - 1, 'problem')} more)" if len(problems) > 1 else ""
-        first = problems[0].why
+        first, left = problems[0].why, len(problems) - 1
+        said = tr("(and 1 problem more)") if left == 1 else tr("(and {count} problems more)")
+        more = f" {said.format(count=left)}" if left else ""
         message = f"{message} {first[:1].upper()}{first[1:]}{more}"
     details = (*(problem.why for problem in problems[1:]), *result.warnings)
     written = len(committed.strokes) + len(committed.meshes)
     return LastJob(not problems, message, details, written)
 
 
-def _count(number: int, thing: str) -> str:
-    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+def _strokes(count: int) -> str:
+    return tr("1 stroke") if count == 1 else tr("{count} strokes").format(count=count)
 
 
 def _exhaust(steps: Generator[Any, None, Any]) -> Any:

@@ -12,6 +12,7 @@ from hnf_core.material.mechanics import PROBES
 from hnf_core.units import m_to_mm, mm_to_m
 
 from ..props.stroke import FORCE_MAX_N
+from ..translations import tr
 from .active import AS_SET, make_active, metres_of, one_line, probe_of
 
 PROBE_ITEMS = [
@@ -129,7 +130,7 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
         if len(self.stroke):
             return self.execute(context)
         if context.area is None or context.area.type != "VIEW_3D":
-            self.report({"WARNING"}, "Strokes are drawn in a 3-D view")
+            self.report({"WARNING"}, tr("Strokes are drawn in a 3-D view"))
             return {"CANCELLED"}
         from ..tool.pen import Pen
 
@@ -180,7 +181,7 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
     def _finish(self, context: Any) -> set[str]:
         pen = self._pen
         if pen.is_click:
-            self.report({"WARNING"}, "A click is no stroke: press, drag over the surface, release")
+            self.report({"WARNING"}, tr("A click is no stroke: press, drag over the surface, release"))
             return {"CANCELLED"}
         self.surface = pen.surface
         self.stroke.clear()

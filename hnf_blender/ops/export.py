@@ -10,6 +10,7 @@ from hnf_core.errors import HnfError
 
 from ..props.scene import active_stroke, strokes_of
 from ..state.redraw import redraw_tab
+from ..translations import tr
 from .preview import can_be_heard
 
 UNDOABLE = {"REGISTER", "UNDO"}
@@ -41,7 +42,7 @@ class HNF_OT_export_wav(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
         if self.all:
             chosen = [obj for obj in strokes_of(context.scene) if not obj.hnf_stroke.mute]
         if not chosen:
-            self.report({"ERROR"}, "No stroke to export: select one, or unmute one")
+            self.report({"ERROR"}, tr("No stroke to export: select one, or unmute one"))
             return {"CANCELLED"}
         written, refused = [], []
         try:
@@ -60,9 +61,9 @@ class HNF_OT_export_wav(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
             return {"CANCELLED"}
         for text in refused:
             self.report({"WARNING"}, text)
-        self.report(
-            {"INFO"}, f"{len(written)} written to {written[0].parent}: {', '.join(path.name for path in written)}"
-        )
+        said = tr("{count} written to {folder}: {names}")
+        names = ", ".join(path.name for path in written)
+        self.report({"INFO"}, said.format(count=len(written), folder=written[0].parent, names=names))
         return {"FINISHED"}
 
 
@@ -84,7 +85,8 @@ class HNF_OT_add_to_sequencer(bpy.types.Operator):  # type: ignore[misc]  # noqa
         except HnfError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, f"'{strip.name}' in the sequencer, channel {strip.channel}")
+        said = tr("'{name}' in the sequencer, channel {channel}")
+        self.report({"INFO"}, said.format(name=strip.name, channel=strip.channel))
         return {"FINISHED"}
 
 
@@ -114,7 +116,7 @@ class HNF_OT_add_speaker(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
         except HnfError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, f"'{speaker.name}' sounds like '{name}'")
+        self.report({"INFO"}, tr("'{speaker}' sounds like '{name}'").format(speaker=speaker.name, name=name))
         return {"FINISHED"}
 
 

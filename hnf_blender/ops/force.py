@@ -10,6 +10,7 @@ from hnf_core.errors import HnfError
 
 from ..props.scene import active_stroke
 from ..props.stroke import FORCE_MAX_N
+from ..translations import tr
 from .active import metres_of, one_line
 from .strokes import UNDOABLE, needs_stroke
 
@@ -49,11 +50,14 @@ class HNF_OT_stroke_key_force(bpy.types.Operator):  # type: ignore[misc]  # noqa
         if self.force_n >= 0.0:
             group.force = self.force_n
         if frame < group.start:
-            self.report({"WARNING"}, f"Frame {frame:g} lies before the stroke's start at frame {group.start:g}")
+            said = tr("Frame {frame} lies before the stroke's start at frame {start}")
+            self.report({"WARNING"}, said.format(frame=f"{frame:g}", start=f"{group.start:g}"))
         if not stroke.keyframe_insert(FORCE, frame=frame):
-            self.report({"ERROR"}, f"The force of '{stroke.name}' cannot be keyed: its animation is linked or locked")
+            said = tr("The force of '{name}' cannot be keyed: its animation is linked or locked")
+            self.report({"ERROR"}, said.format(name=stroke.name))
             return {"CANCELLED"}
-        self.report({"INFO"}, f"{group.force:.2f} N at frame {frame:g}")
+        said = tr("{force} N at frame {frame}")
+        self.report({"INFO"}, said.format(force=f"{group.force:.2f}", frame=f"{frame:g}"))
         return {"FINISHED"}
 
 
@@ -91,7 +95,8 @@ class HNF_OT_stroke_copy_force(bpy.types.Operator):  # type: ignore[misc]  # noq
             done.append(stroke.name)
         if not done:
             return {"CANCELLED"}
-        self.report({"INFO"}, f"The force of {given.name} went to {', '.join(done)}")
+        said = tr("The force of {name} went to {others}")
+        self.report({"INFO"}, said.format(name=given.name, others=", ".join(done)))
         return {"FINISHED"}
 
 

@@ -12,6 +12,7 @@ from ..preview.facts import PREVIEW
 from ..props.scene import active_stroke
 from ..state.redraw import redraw_tab
 from ..state.session import STATE, Freshness
+from ..translations import tr
 
 NOT_SELECTED = "No stroke is selected: click one in the Touch tab, or draw one with the stroke tool"
 NOT_BAKED = "Not baked yet: press Bake in the Touch tab"
@@ -116,11 +117,12 @@ class HNF_OT_preview_ab(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
         if self.action == "KEEP":
             heard = current.refresh(stroke, context, wait=bpy.app.background)
             if heard is None:
-                self.report({"WARNING"}, PREVIEW.problems.get(name, "The signal is being made: try again in a moment"))
+                made = tr("The signal is being made: try again in a moment")
+                self.report({"WARNING"}, PREVIEW.problems.get(name, made))
                 return {"CANCELLED"}
             PREVIEW.kept[name] = heard
         elif name not in PREVIEW.kept:
-            self.report({"WARNING"}, "Nothing is kept as A yet: keep the present signal first")
+            self.report({"WARNING"}, tr("Nothing is kept as A yet: keep the present signal first"))
             return {"CANCELLED"}
         elif self.action == "SWITCH":
             current.switch_kept(name)

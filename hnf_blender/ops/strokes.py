@@ -11,6 +11,7 @@ from hnf_core.errors import HnfError
 
 from ..compat import own_action
 from ..props.scene import active_stroke, strokes_of
+from ..translations import tr
 from .active import AS_SET, make_active, metres_of, one_line, probe_of
 from .draw import PROBE_ITEMS
 
@@ -104,7 +105,8 @@ class HNF_OT_stroke_add(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
 
         scene, touched = context.scene, touched_object(context)
         if self.slot >= max(1, len(touched.material_slots)):
-            self.report({"ERROR"}, f"'{touched.name}' has no material slot {self.slot}; the first is 0")
+            said = tr("'{name}' has no material slot {slot}; the first is 0")
+            self.report({"ERROR"}, said.format(name=touched.name, slot=self.slot))
             return {"CANCELLED"}
         window = context.window
         if window is not None:
@@ -171,7 +173,7 @@ class HNF_OT_stroke_from_curve(bpy.types.Operator):  # type: ignore[misc]  # noq
         active = context.view_layer.objects.active
         context.view_layer.objects.active = active if active in made else made[0]
         context.scene.hnf.stroke_index = max(0, context.scene.objects.find(context.view_layer.objects.active.name))
-        self.report({"INFO"}, f"Strokes: {', '.join(obj.name for obj in made)}")
+        self.report({"INFO"}, tr("Strokes: {names}").format(names=", ".join(obj.name for obj in made)))
         return {"FINISHED"}
 
 
@@ -273,10 +275,10 @@ class HNF_OT_stroke_select(bpy.types.Operator):  # type: ignore[misc]  # noqa: N
     def execute(self, context: Any) -> set[str]:
         stroke = context.scene.objects.get(self.name)
         if stroke is None or not stroke.hnf_stroke.is_stroke:
-            self.report({"ERROR"}, f"There is no stroke '{self.name}' in this scene")
+            self.report({"ERROR"}, tr("There is no stroke '{name}' in this scene").format(name=self.name))
             return {"CANCELLED"}
         if context.view_layer.objects.get(stroke.name) is None or not stroke.visible_get():
-            self.report({"WARNING"}, f"'{stroke.name}' is hidden in this view layer")
+            self.report({"WARNING"}, tr("'{name}' is hidden in this view layer").format(name=stroke.name))
         if self.extend:
             others = [obj for obj in context.view_layer.objects.selected if obj != stroke]
         make_active(context, stroke)

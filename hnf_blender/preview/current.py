@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..props.scene import actuator_of
 from ..state.session import STATE, Freshness
+from ..translations import tr
 from .device import Player
 from .facts import PREVIEW, PreviewFacts
 
@@ -153,22 +154,28 @@ def words(shown: Heard, profile: ActuatorProfile, gain_db: float) -> list[str]:
     from .monitor import clips_by_db
 
     levels = levels_against(shown, profile)
-    lines = [f"{shown.signal.duration_s:.2f} s; peak {levels.peak:.3g} m/s², RMS {levels.rms:.3g} m/s²"]
+    said = tr("{seconds} s; peak {peak} m/s², RMS {rms} m/s²")
+    lines = [said.format(seconds=f"{shown.signal.duration_s:.2f}", peak=f"{levels.peak:.3g}", rms=f"{levels.rms:.3g}")]
+    title = tr(profile.title)
     if levels.headroom_db is not None and levels.peak > 0.0 and profile.peak_m_s2 is not None:
-        limit = f"{profile.title} ({profile.peak_m_s2:.3g} m/s²)"
-        over = f"{-levels.headroom_db:.1f} dB too strong for {limit}"
-        lines.append(over if levels.headroom_db < 0.0 else f"{levels.headroom_db:.1f} dB below the limit of {limit}")
+        limit = f"{title} ({profile.peak_m_s2:.3g} m/s²)"
+        room = levels.headroom_db
+        said = tr("{room} dB too strong for {limit}") if room < 0.0 else tr("{room} dB below the limit of {limit}")
+        lines.append(said.format(room=f"{abs(room):.1f}", limit=limit))
+    sides = (
+        tr("{share} of its energy lies below {edge} Hz, outside the range of {actuator}"),
+        tr("{share} of its energy lies above {edge} Hz, outside the range of {actuator}"),
+    )
     outside = [
-        f"{share:.0%} of its energy lies {side} {edge:g} Hz, outside the range of {profile.title}"
-        for share, side, edge in zip(
-            (levels.below_share, levels.above_share), ("below", "above"), profile.range_hz or (), strict=False
+        said.format(share=f"{share:.0%}", edge=f"{edge:g}", actuator=title)
+        for share, said, edge in zip(
+            (levels.below_share, levels.above_share), sides, profile.range_hz or (), strict=False
         )
         if share is not None and share >= 0.01
     ]
     clipped = clips_by_db(levels.peak, gain_db)
-    loud = (
-        [f"The preview clips by {clipped:.1f} dB: lower the monitor gain. The signal is not clipped"] if clipped else []
-    )
+    said = tr("The preview clips by {over} dB: lower the monitor gain. The signal is not clipped")
+    loud = [said.format(over=f"{clipped:.1f}")] if clipped else []
     return [*lines, *outside, *loud, *shown.warnings]
 
 

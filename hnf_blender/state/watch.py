@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..translations import tr
 from .guard import own_changes
 from .session import STATE, Freshness, StrokeStatus
 
@@ -190,7 +191,8 @@ def _status(session: Session, obj: Any) -> StrokeStatus:
 
     surface = obj.hnf_stroke.surface
     if surface is not None and surface.mode == "EDIT":
-        return StrokeStatus(Freshness.UNKNOWN, f"'{surface.name}' is in Edit Mode.", object_name=surface.name)
+        why = tr("'{name}' is in Edit Mode.").format(name=surface.name)
+        return StrokeStatus(Freshness.UNKNOWN, why, object_name=surface.name)
     try:
         return judge(obj, session.job_of_curve(obj))
     except HnfError as error:

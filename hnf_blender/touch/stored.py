@@ -10,6 +10,7 @@ from ..bridge import keeping
 from ..bridge.storage import SOURCE_PROPERTY
 from ..preview.stroke_bake import BAKE_PROPERTY, StrokeBake, load_bake, remove_bake, store_bake
 from ..state.session import Freshness, StrokeStatus
+from ..translations import tr
 from .inputs import Inputs
 from .jobs import Job, SurfaceFacts
 from .tokens import surface_source
@@ -45,7 +46,7 @@ def judge(obj: Any, job: Job) -> StrokeStatus:
     except FileError as error:
         return StrokeStatus(Freshness.UNBAKED, str(error), object_name=job.object_name)
     if bake is None:
-        return StrokeStatus(Freshness.UNBAKED, "Not baked yet.", object_name=job.object_name)
+        return StrokeStatus(Freshness.UNBAKED, tr("Not baked yet."), object_name=job.object_name)
     if bake.key == job.key:
         return status_of(bake, Freshness.FRESH)
     if bake.path_key != job.path_key:
@@ -56,7 +57,9 @@ def judge(obj: Any, job: Job) -> StrokeStatus:
             bake.with_force(force)
     except StrokeError as error:
         return status_of(bake, Freshness.STALE, str(error))
-    return status_of(bake, Freshness.FORCE, "Only its force, seed or probe changed: heard at once, nothing to bake.")
+    return status_of(
+        bake, Freshness.FORCE, tr("Only its force, seed or probe changed: heard at once, nothing to bake.")
+    )
 
 
 def status_of(bake: StrokeBake, freshness: Freshness, why: str = "") -> StrokeStatus:
@@ -85,4 +88,7 @@ def tokens_are_there(obj: Any, facts: SurfaceFacts) -> bool:
 def _what_changed(obj: Any, job: Job, bake: StrokeBake) -> str:
     earlier = Inputs.from_text(keeping.kept(obj, INPUTS_PROPERTY))
     words = job.inputs.changes(earlier) if earlier is not None and earlier.path_key == bake.path_key else ()
-    return f"Since the bake {' and '.join(words)} changed. Bake it again." if words else "Changed since it was baked."
+    if not words:
+        return tr("Changed since it was baked.")
+    said = tr("Since the bake {what} changed. Bake it again.")
+    return said.format(what=tr(" and ").join(tr(word) for word in words))

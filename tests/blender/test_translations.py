@@ -11,6 +11,7 @@ from ui_strings import strings_of_classes, strings_of_sources
 import hnf_blender
 from hnf_blender import translations
 from hnf_blender.ops.materials import LIBRARY
+from hnf_blender.touch.inputs import WORDS
 from hnf_blender.ui import texts
 from hnf_core.actuators.profile import PROFILES
 
@@ -29,6 +30,7 @@ def test_every_text_has_a_german_one(switched_on: None) -> None:
     tables = (texts.LOOKS.values(), texts.KINDS.values())
     wanted = strings_of_classes(our_classes()) | strings_of_sources() | set(texts.ROUTE_WORDS.values())
     wanted |= {text for table in tables for _, text in table}
+    wanted |= set(WORDS.values()) | {"no stroke touches it", "hidden", "muted"}
     # Names and citations stay as they are.
     wanted -= {text for _, label, words in LIBRARY for text in (label, words)}
     wanted -= {text for profile in PROFILES.values() for text in (profile.title, profile.source)}
@@ -69,3 +71,23 @@ def switched_on():
 
 def fields(text: str) -> list[str]:
     return sorted(name for _, name, _, _ in string.Formatter().parse(text) if name)
+
+
+def test_sentences_with_figures_are_german_throughout(monkeypatch) -> None:
+    """As in a German Blender: the wheels have no languages, so tr() is put in."""
+    from dataclasses import replace
+
+    from hnf_blender.jobs import running
+    from hnf_blender.jobs.commit import Committed
+    from hnf_blender.jobs.order import Refusal, Result
+
+    monkeypatch.setattr(running, "tr", lambda text: GERMAN[text])
+    result = Result((), (), (), (), fresh=1, renders=3)
+    said = running.told(result, Committed(["A", "B"]), 4.2).message
+    assert said == "2 Striche in 4 s gebacken, 3 Nahaufnahmen, 1 schon aktuell."
+    nothing = running.told(replace(result, renders=0), Committed(), 1.0).message
+    assert nothing == "Nichts zu backen: 1 Strich schon aktuell."
+    problems = tuple(Refusal("C", "warum") for _ in range(3))
+    failed = running.told(replace(result, failed=problems), Committed(["A"]), 4.0)
+    assert failed.message.endswith("Warum (und 2 weitere Probleme)")
+    assert not failed.ok
