@@ -11,6 +11,8 @@ from .facts import PREVIEW, PreviewFacts, preview_facts, preview_icon
 __all__ = ["PreviewFacts", "preview_facts", "preview_icon"]
 
 INTERVAL_S = 0.04
+LISTENING_INTERVAL_S = 0.01
+"""While a signal is on its way."""
 HANDLERS = (
     ("animation_playback_pre", timeline.playback_begins),
     ("animation_playback_post", timeline.playback_ends),
@@ -45,7 +47,8 @@ def tick() -> float:
         return INTERVAL_S
     with bpy.context.temp_override(window=window):
         _look(bpy.context, window.screen.is_animation_playing)
-    return INTERVAL_S
+    listening = PREVIEW.listener is not None and PREVIEW.listener.is_busy
+    return LISTENING_INTERVAL_S if listening else INTERVAL_S
 
 
 def _look(context: Any, timeline_plays: bool) -> None:
@@ -79,7 +82,7 @@ def _look(context: Any, timeline_plays: bool) -> None:
     while _waiting and time.monotonic() < until:
         other = scene.objects.get(_waiting.pop(0))
         if other is not None:
-            current.refresh(other, context, wait=False)
+            current.refresh(other, context, wait=False, first=False)
     shown = active.name if active is not None else ""
     before = PREVIEW.facts.get(shown)
     for name in heard | {shown} - {""}:

@@ -22,9 +22,10 @@ _levels: dict[tuple[str, ActuatorProfile], Levels] = {}
 NOT_TRUE = (Freshness.STALE, Freshness.BROKEN)
 
 
-def refresh(obj: Any, context: Any, *, wait: bool) -> Heard | None:
+def refresh(obj: Any, context: Any, *, wait: bool, first: bool = True) -> Heard | None:
     """Make sure that the signal of obj as it is now is there, or comes. wait: hear it here and now, and return it;
-    else it is asked for, and collect() takes it. None where there is none; PREVIEW.problems then says why."""
+    else it is asked for (first: before all others), and collect() takes it. None where there is none;
+    PREVIEW.problems then says why."""
     from hnf_core.errors import HnfError
 
     from .hearing import Kept, Listener, hear
@@ -57,7 +58,7 @@ def refresh(obj: Any, context: Any, *, wait: bool) -> Heard | None:
         PREVIEW.asked[name] = now.stamp, look
         if PREVIEW.listener is None:
             PREVIEW.listener = Listener()
-        PREVIEW.listener.ask(now, look)
+        PREVIEW.listener.ask(now, look, first=first)
     return None
 
 

@@ -83,22 +83,28 @@ Outcome = Heard | str
 
 
 class Listener:
-    """A thread that hears what is asked for; of each stroke the newest request wins."""
+    """A thread that hears what is asked for; of each stroke the newest request wins. What was asked for first of all
+    does not wait for other strokes: they are begun again after it."""
 
     def __init__(self) -> None:
         self._condition = threading.Condition()
         self._wanted: OrderedDict[str, tuple[Present, Look]] = OrderedDict()
+        self._first = ""
         self._done: dict[str, Outcome] = {}
         self._busy = False
         self._kept = Kept()
         self._ending = False
         self._thread: threading.Thread | None = None
 
-    def ask(self, now: Present, look: Look) -> None:
-        """Begin to hear; returns at once."""
+    def ask(self, now: Present, look: Look, *, first: bool = True) -> None:
+        """Begin to hear, before all others or after them; returns at once."""
         with self._condition:
             self._wanted[now.name] = now, look
-            self._wanted.move_to_end(now.name, last=False)
+            if first:
+                self._first = now.name
+                self._wanted.move_to_end(now.name, last=False)
+            elif self._first == now.name:
+                self._first = ""
             if self._thread is None:
                 self._thread = threading.Thread(target=self._run, name="hnf preview", daemon=True)
                 self._thread.start()
@@ -147,10 +153,12 @@ class Listener:
                 self._busy = False
                 if outcome is not None:
                     self._done[now.name] = outcome
+                elif not self._ending:
+                    self._wanted.setdefault(name, (now, look))
 
     def _is_superseded(self, name: str) -> bool:
         with self._condition:
-            return self._ending or name in self._wanted
+            return self._ending or name in self._wanted or self._first in self._wanted
 
 
 def _weight(rendered: Rendered) -> int:

@@ -211,6 +211,29 @@ def test_beside_the_window_it_is_heard_the_same_and_the_newest_wins(stroke) -> N
     assert found["Along"].signal.samples.tobytes() == samples_of(stroke)
 
 
+def test_the_stroke_at_hand_does_not_wait_for_the_others(stroke) -> None:
+    listener, wanted = Listener(), now(stroke)
+    others = [
+        dataclasses.replace(wanted, name=name, bake=dataclasses.replace(wanted.bake, path_key=name)) for name in "ABC"
+    ]
+    order, until = [], time.monotonic() + 60.0
+    found = {}
+    try:
+        for other in others:
+            listener.ask(other, Look(), first=False)
+        listener.ask(wanted, Look())
+        while len(found) < 4 and time.monotonic() < until:
+            done = listener.take()
+            order += list(done)
+            found |= done
+            time.sleep(0.01)
+    finally:
+        listener.end()
+    assert order[0] == "Along"
+    assert sorted(order) == ["A", "Along", "B", "C"]
+    assert {heard.signal.samples.tobytes() for heard in found.values()} == {samples_of(stroke)}
+
+
 def test_playing_without_a_device_says_so(stroke) -> None:
     """Here there is none (or no `aud` at all): a message, no error; the signal was made all the same."""
     assert bpy.ops.hnf.preview_play() in ({"CANCELLED"}, {"FINISHED"})
