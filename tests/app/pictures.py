@@ -40,9 +40,10 @@ CHOSEN: dict[str, Cut] = {
     "first-harder": Cut("tutorial/harder", (0, 55, 1116, 1465)),
     "first-sequencer": Cut("tutorial/sequencer", (0, 915, 1116, 1465)),
     "panel-scene": Cut("tutorial/heard", (830, 80, 1090, 250)),
-    "panel-materials": Cut("tutorial/heard", (830, 253, 1090, 444)),
+    "panel-materials": Cut("panels/baked", (767, 369, 1021, 662)),
     "panel-strokes": Cut("tutorial/heard", (830, 445, 1090, 934)),
     "assets": Cut("extension/asset-browser", (250, 55, 1255, 330)),
+    "preferences": Cut("panels/preferences", (278, 1192, 972, 1398)),
     "tool-settings": Cut("tutorial/drawing", (0, 55, 1116, 82)),
 }
 """Name in docs/images/ui → where it comes from."""
