@@ -90,8 +90,7 @@ class Walk:
             yield from self.stage.key("ESC")
             self.done["cancel"] += 1
         yield from self.stage.until("a bake of the walk ends", lambda: state().job is None, 90.0)
-        # Out from under an error that popped up at the mouse: it would take the next key.
-        yield from self.stage.move((20, 20))
+        yield from self.stage.key("ESC")  # an error that popped up at the mouse would take the next key
         yield 0.3
         self.notice_a_bake()
         self.log.append(f"({state().last_job.message})" if state().last_job else "(no bake)")
