@@ -38,6 +38,7 @@ CHOSEN: dict[str, Cut] = {
     "first-baking": Cut("tutorial/baking", (830, 80, 1090, 200)),
     "first-preview": Cut("tutorial/heard", (830, 935, 1090, 1345)),
     "first-harder": Cut("tutorial/harder", (0, 55, 1116, 1465)),
+    "first-compared": Cut("tutorial/harder-alone", (1075, 970, 1332, 1424)),
     "first-sequencer": Cut("tutorial/sequencer", (0, 915, 1116, 1465)),
     "panel-scene": Cut("tutorial/heard", (830, 80, 1090, 250)),
     "panel-materials": Cut("panels/baked", (767, 369, 1021, 662)),
