@@ -12,7 +12,6 @@ from ..errors import StrokeError
 
 Float = NDArray[np.float64]
 Int = NDArray[np.intp]
-Bool = NDArray[np.bool_]
 
 _REPARAMETRISED = 4
 _HOPELESS = 8.0
