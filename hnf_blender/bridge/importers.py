@@ -90,10 +90,10 @@ def size_warning(obj: Any, metres: float) -> str | None:
         return None
     size = f"{diagonal:.3g} m" if diagonal > 5.0 else f"{diagonal * 1e3:.3g} mm"
     if diagonal > 5.0:
-        remedy = f"If the scene is in centimetres, give --scale {metres * 0.01:g}; in millimetres, {metres * 0.001:g}."
+        unit = f"If it is drawn in centimetres, one unit is {metres * 0.01:g} m; in millimetres, {metres * 0.001:g} m"
     else:
-        remedy = f"If one unit is larger than {metres:g} m, say so with --scale."
-    return f"object '{obj.name}' is {size} across. {remedy}"
+        unit = f"Perhaps one unit is more than {metres:g} m"
+    return f"object '{obj.name}' is {size} across. {unit}: say so under Units in the Touch tab, or with --scale."
 
 
 def _check_head(path: Path, suffix: str) -> None:

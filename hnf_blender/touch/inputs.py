@@ -15,7 +15,7 @@ WORDS = {
     "shape": "the shape of the surface",
     "shading": "the materials of the surface",
     "choices": "a material choice",
-    PATH: "its path or timing",
+    PATH: "its path, its timing or the name of its surface",
     TOUCH: "its force, seed or probe",
 }
 
