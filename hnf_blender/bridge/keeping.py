@@ -39,6 +39,12 @@ def kept(block: Any, name: str) -> Any:
         return b""
 
 
+def has(block: Any, name: str) -> bool:
+    """Is there something that kept would return? For what is asked at every draw: nothing is decoded."""
+    own = _own(block) if _is_override(block) else {}
+    return own[name] is not None if name in own else name in block
+
+
 def drop(block: Any, name: str) -> None:
     """Take property name off a datablock. On an override, what the linked original holds stays hidden."""
     if _is_override(block):

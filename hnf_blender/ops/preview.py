@@ -13,20 +13,20 @@ from ..props.scene import active_stroke
 from ..state.redraw import redraw_tab
 from ..state.session import STATE, Freshness
 from ..translations import tr
+from .strokes import needs_stroke
 
-NOT_SELECTED = "No stroke is selected: click one in the Touch tab, or draw one with the stroke tool"
 NOT_BAKED = "Not baked yet: press Bake in the Touch tab"
 
 
 def can_be_heard(cls: Any, context: Any) -> bool:
     """For poll(): True where the active stroke has a bake that holds, else says why greyed."""
+    from ..bridge.keeping import has
     from ..preview.stroke_bake import BAKE_PROPERTY
 
-    stroke = active_stroke(context)
-    if stroke is None:
-        cls.poll_message_set(NOT_SELECTED)
+    if not needs_stroke(cls, context):
         return False
-    if BAKE_PROPERTY not in stroke:
+    stroke = active_stroke(context)
+    if not has(stroke, BAKE_PROPERTY):
         cls.poll_message_set(NOT_BAKED)
         return False
     status = STATE.strokes.get(stroke.name)

@@ -16,6 +16,7 @@ from hnf_core.files import content_hash
 from hnf_core.units import seconds_to_frame
 
 from ..bridge.channels import read_channel, sample_channels
+from ..bridge.keeping import kept
 from ..props.stroke import FORCE_MAX_N
 from ..state.guard import own_changes
 from .stroke_bake import BAKE_PROPERTY, StrokeBake
@@ -39,7 +40,7 @@ def present(obj: Any, scene: Any) -> Present | None:
     Surface, path and timing are not looked at: whether the bake still holds for them is state.watch's to say.
     Raises StrokeError where force presses on what the bake did not touch, FileError where the bake is damaged.
     """
-    stored = obj.get(BAKE_PROPERTY)
+    stored = kept(obj, BAKE_PROPERTY)
     if stored is None:
         return None
     where, group = f"stroke '{obj.name}'", obj.hnf_stroke

@@ -16,6 +16,7 @@ from hnf_blender.bridge.keeping import drop, keep, kept
 from hnf_blender.bridge.own_material import give
 from hnf_blender.bridge.storage import read_tokens
 from hnf_blender.jobs import running
+from hnf_blender.preview.present import present
 from hnf_blender.preview.stroke_bake import BAKE_PROPERTY, load_bake
 from hnf_blender.props.material import OWN_DEFINITION
 from hnf_blender.state.session import STATE, Freshness
@@ -158,6 +159,23 @@ def test_an_overridden_stroke_is_felt_otherwise_and_keeps_its_own_bake(saved: Pa
     drop(again, BAKE_PROPERTY)
     assert kept(again, BAKE_PROPERTY) is None
     assert statuses() == {"Along": Freshness.UNBAKED}
+
+
+def test_an_overridden_stroke_is_heard_as_it_was_baked_here(saved: Path) -> None:
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    (linked,) = append(saved, "Along", link=True)
+    stroke, scene = linked.override_create(remap_local_usages=True), bpy.context.scene
+    bpy.context.view_layer.update()
+    bpy.context.view_layer.objects.active = stroke
+    assert present(stroke, scene).bake.key == load_bake(linked).key
+    stroke.hnf_stroke.speed_mm_s = 60.0
+    bake()
+    assert load_bake(stroke).key != load_bake(linked).key
+    assert present(stroke, scene).bake.key == load_bake(stroke).key
+    assert bpy.ops.hnf.preview_play.poll()
+    drop(stroke, BAKE_PROPERTY)
+    assert present(stroke, scene) is None
+    assert not bpy.ops.hnf.preview_play.poll()
 
 
 def test_a_duplicated_stroke_is_a_stroke_of_its_own(saved: Path) -> None:
