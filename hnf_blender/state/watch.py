@@ -54,8 +54,7 @@ class Watch:
         strokes = [obj for obj in scene.objects if obj.hnf_stroke.is_stroke]
         if EVERYTHING in names or stamp != self._stamp:
             self._session, self._stamp = None, stamp
-            for name in STATE.strokes.keys() - {obj.name for obj in strokes}:
-                del STATE.strokes[name]
+            _leave_out(STATE.strokes.keys() - {obj.name for obj in strokes})
             self._pending.update(dict.fromkeys(obj.name for obj in strokes))
             return
         surfaces = self._concerned_surfaces(strokes, names)
@@ -65,9 +64,7 @@ class Watch:
             own = _stroke_concerns(obj, names)
             if own or self._surface_of(obj) in surfaces or obj.hnf_stroke.surface is None:
                 self._pending[obj.name] = None
-        for name in names & STATE.strokes.keys():
-            if scene.objects.get(name) is None:
-                del STATE.strokes[name]
+        _leave_out(names & STATE.strokes.keys())
 
     def _concerned_surfaces(self, strokes: list[Any], names: set[str]) -> set[str]:
         """Names of surfaces that may look or feel different, where datablocks of these names changed."""
@@ -185,6 +182,16 @@ def forget() -> None:
 
 
 def _status(session: Session, obj: Any) -> StrokeStatus:
+def _leave_out(names: Iterable[str]) -> None:
+    """Drop the statuses of those that are no strokes any more; another window may show those of another scene."""
+    import bpy
+
+    for name in names:
+        obj = bpy.data.objects.get(name)
+        if obj is None or not obj.hnf_stroke.is_stroke:
+            del STATE.strokes[name]
+
+
     from hnf_core.errors import HnfError
 
     from ..touch.stored import judge

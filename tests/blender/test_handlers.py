@@ -188,6 +188,29 @@ def test_deleted_and_renamed_strokes_leave_no_status(noting) -> None:
     assert STATE.strokes == {}
 
 
+def test_two_scenes_in_two_windows_keep_their_statuses(noting) -> None:
+    """What is looked at in one window says nothing of strokes that another shows."""
+    plate, _ = baked_scene()
+    first, second = bpy.context.scene, bpy.data.scenes.new("Second")
+    second.collection.objects.link(plate)
+    there = line_stroke("There", surface=plate)
+    first.collection.objects.unlink(there)
+    second.collection.objects.link(there)
+    shown = [(scene, scene.view_layers[0]) for scene in (first, second)]
+    for dirty in ((), (EVERYTHING,), ("Along", "There")):
+        for order in (shown, shown[::-1]):
+            STATE.dirty.update(dirty)
+            for _ in range(20):
+                watch.drain(order)
+            assert STATE.strokes.keys() == {"Along", "There"}
+    refresh_status(second)
+    assert STATE.strokes["Along"].freshness is Freshness.FRESH
+    bpy.data.objects.remove(there)
+    STATE.dirty.add("There")
+    watch.drain(shown)
+    assert STATE.strokes.keys() == {"Along"}
+
+
 def test_history_makes_everything_unknown(noting) -> None:
     baked_scene()
     drain()
