@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import traceback
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -181,7 +182,6 @@ def forget() -> None:
     STATE.dirty.clear()
 
 
-def _status(session: Session, obj: Any) -> StrokeStatus:
 def _leave_out(names: Iterable[str]) -> None:
     """Drop the statuses of those that are no strokes any more; another window may show those of another scene."""
     import bpy
@@ -192,6 +192,7 @@ def _leave_out(names: Iterable[str]) -> None:
             del STATE.strokes[name]
 
 
+def _status(session: Session, obj: Any) -> StrokeStatus:
     from hnf_core.errors import HnfError
 
     from ..touch.stored import judge
@@ -203,16 +204,18 @@ def _leave_out(names: Iterable[str]) -> None:
     try:
         return judge(obj, session.job_of_curve(obj))
     except HnfError as error:
-        return StrokeStatus(Freshness.BROKEN, str(error), object_name="" if surface is None else surface.name)
+        why = str(error)
+    except Exception as error:  # a fault of ours must not end the timer, and with it all statuses
+        traceback.print_exc()
+        why = f"internal error ({error!r}). Please report it."
+    return StrokeStatus(Freshness.BROKEN, why, object_name="" if surface is None else surface.name)
 
 
 def _try_facts(session: Session, surface: Any) -> None:
-    from hnf_core.errors import HnfError
-
     try:
         session.facts(surface)
-    except HnfError:
-        return  # the stroke's own look says it
+    except Exception:
+        return  # the stroke's own look meets it again, and says it
 
 
 def _scene(name: str) -> Any:

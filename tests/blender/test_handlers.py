@@ -237,6 +237,54 @@ def test_leaving_the_file_stops_its_bake() -> None:
     assert STATE.job is None
 
 
+def test_a_fault_of_ours_is_shown_and_the_other_strokes_are_looked_at(noting, monkeypatch) -> None:
+    from hnf_blender.touch.jobs import Session
+
+    plate, _ = baked_scene()
+    line_stroke("Beside", surface=plate)
+    read = Session.read
+
+    def faulty(self, curve):
+        if curve.name == "Along":
+            raise ZeroDivisionError("a fault")
+        return read(self, curve)
+
+    monkeypatch.setattr(Session, "read", faulty)
+    assert drain() == ["Along", "Beside"]
+    assert STATE.strokes["Along"].freshness is Freshness.BROKEN
+    assert "a fault" in STATE.strokes["Along"].why
+    assert STATE.strokes["Beside"].freshness is Freshness.UNBAKED
+
+
+def test_the_picked_stroke_stays_picked_when_objects_come_and_go() -> None:
+    plate, _ = small_scene()
+    line_stroke("Beside", surface=plate)
+    scene = bpy.context.scene
+    settings, objects = scene.hnf, scene.objects
+    strokes = bpy.data.collections.new("Touch strokes")
+    scene.collection.children.link(strokes)
+    for name in ("Along", "Beside"):
+        strokes.objects.link(objects[name])
+        scene.collection.objects.unlink(objects[name])
+    picked.forget()
+    settings.stroke_index = objects.find("Beside")
+    assert not picked.hold(scene)
+    before = settings.stroke_index
+    other = add_plane("Other")
+    assert objects[before].name == "Along"  # what Blender's list would show now
+    assert picked.hold(scene)
+    assert objects[settings.stroke_index].name == "Beside"
+    bpy.data.objects.remove(other)
+    assert picked.hold(scene)
+    assert settings.stroke_index == before
+    objects["Beside"].name = "Renamed"
+    assert not picked.hold(scene)
+    settings.stroke_index = objects.find("Along")  # another one is picked
+    assert not picked.hold(scene)
+    assert objects[settings.stroke_index].name == "Along"
+    picked.forget()
+
+
 def test_edit_mode_is_waited_for(noting) -> None:
     plate, _ = baked_scene()
     bpy.context.view_layer.objects.active = plate
