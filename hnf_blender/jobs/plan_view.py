@@ -47,7 +47,7 @@ def make_plan(scene: Any, view_layer: Any) -> PlanView:
         lines.append(PlanLine("failed", stroke.format(name=failure.stroke), failure.why))
     lines += [PlanLine("skipped", each.what, tr(each.why)) for each in found.skipped]
     lines += [PlanLine("note", note, "") for note in found.notes]
-    return PlanView(tuple(lines), seconds, _bytes_after(session, found, needed))
+    return PlanView(tuple(lines), seconds, _bytes_after(session, found, needed), scene.name)
 
 
 def _why(status: StrokeStatus) -> str:

@@ -6,7 +6,7 @@ import shutil
 import sys
 import time
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -84,15 +84,15 @@ class Bake:
         except BaseException:
             self.cancel()
             raise
-        if ended is not None:
-            self.clean()
-            STATE.last_job = ended
-        return ended
+        return None if ended is None else self._end(ended)
 
     def cancel(self) -> LastJob:
         """Stop now; nothing is left behind, nothing is changed."""
+        return self._end(LastJob(True, tr("Bake cancelled. Nothing was changed; finished close-ups are kept.")))
+
+    def _end(self, ended: LastJob) -> LastJob:
         self.clean()
-        STATE.last_job = LastJob(True, "Bake cancelled. Nothing was changed; finished close-ups are kept.")
+        STATE.last_job = replace(ended, scene=self._prepared.order.scene)
         return STATE.last_job
 
     def clean(self) -> None:
@@ -155,10 +155,10 @@ def bake_in_line(scene: Any, view_layer: Any, only: Sequence[str] = ()) -> LastJ
     try:
         result = _exhaust(work_steps(prepared.order, prepared.folder))
         committed = _exhaust(commit_steps(result, prepared.folder, prepared.place))
-        STATE.last_job = told(result, committed, time.monotonic() - started)
+        STATE.last_job = replace(told(result, committed, time.monotonic() - started), scene=scene.name)
         return STATE.last_job
     except HnfError as error:
-        STATE.last_job = LastJob(False, str(error))
+        STATE.last_job = LastJob(False, str(error), scene=scene.name)
         raise
     finally:
         remove_folder(prepared.folder)

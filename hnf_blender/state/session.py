@@ -58,12 +58,13 @@ class JobStatus:
 @dataclass(frozen=True)
 class LastJob:
     """How the last job ended. ok False: message says what went wrong and what to do. written: how many strokes and
-    meshes got something all the same."""
+    meshes got something all the same. scene: whose strokes it was about, by name."""
 
     ok: bool
     message: str
     details: tuple[str, ...] = ()
     written: int = 0
+    scene: str = ""
 
 
 @dataclass(frozen=True)
@@ -77,11 +78,13 @@ class PlanLine:
 
 @dataclass(frozen=True)
 class PlanView:
-    """lines: of the plan. seconds: estimate for what is needed. bytes_after: what the bake will keep in the .blend."""
+    """lines: of the plan. seconds: estimate for what is needed. bytes_after: what the bake will keep in the .blend.
+    scene: of which it speaks, by name."""
 
     lines: tuple[PlanLine, ...]
     seconds: float
     bytes_after: int
+    scene: str = ""
 
 
 @dataclass

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 import bpy
 
 from ..props.scene import strokes_of
-from ..state.session import STATE
+from ..state.session import STATE, LastJob, PlanView
 from ..translations import tr
 from .layout import TouchPanel, hint, named, paragraph, side_by_side
 from .texts import (
@@ -20,6 +20,8 @@ from .texts import (
     share_done,
     steps,
 )
+
+Told = TypeVar("Told", LastJob, PlanView)
 
 MOST_LINES = 6
 """Of one kind in the plan; the rest is counted."""
@@ -45,10 +47,16 @@ class HNF_PT_scene(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: 
             text = counts_text(STATE.strokes.get(obj.name) for obj in strokes if not obj.hnf_stroke.mute)
             if text:
                 paragraph(layout, context, text, icon="CURVE_DATA")
-        estimate = "" if STATE.plan is None else estimate_text(STATE.plan)
+        plan = told_of(scene, STATE.plan)
+        estimate = "" if plan is None else estimate_text(plan)
         if estimate:
             paragraph(layout, context, estimate, icon="TIME")
         draw_last_job(layout, context)
+
+
+def told_of(scene: Any, told: Told | None) -> Told | None:
+    """A plan or a job's end where it is about this scene; a window may show another one."""
+    return told if told is not None and told.scene in ("", scene.name) else None
 
 
 def draw_first_steps(layout: Any, context: Any, strokes: list[Any]) -> None:
@@ -86,7 +94,7 @@ def draw_job(layout: Any, context: Any) -> None:
 
 
 def draw_last_job(layout: Any, context: Any) -> None:
-    last = STATE.last_job
+    last = told_of(context.scene, STATE.last_job)
     if last is None:
         return
     box = layout.box() if not last.ok else layout.column(align=True)
@@ -102,7 +110,7 @@ class HNF_PT_plan(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012  # Blender reads a set
 
     def draw(self, context: Any) -> None:
-        layout, plan = self.layout, STATE.plan
+        layout, plan = self.layout, told_of(context.scene, STATE.plan)
         layout.operator("hnf.plan", text="What Is to Bake?", icon="VIEWZOOM")
         if plan is None:
             hint(layout, context, tr("Lists what a bake would do and why, how long it takes, and what it keeps"))

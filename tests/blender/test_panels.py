@@ -193,6 +193,26 @@ def test_figures_of_her_own_are_asked_for_where_her_own_actuator_is_chosen() -> 
         assert re.search(r"m/s²|Hz", settings.bl_rna.properties[name].description)
 
 
+@pytest.mark.parametrize("row_px", [70.0, 105.0, 180.0, 250.0, 800.0])
+def test_solo_and_mute_have_their_room_in_a_narrow_list(row_px: float) -> None:
+    share = stroke_list.name_share(row_px)
+    assert (1.0 - share) * row_px >= stroke_list.SWITCHES_PX - 1e-9
+    assert stroke_list.LEAST_SHARE <= share <= stroke_list.NAME_SHARE
+
+
+def test_what_was_told_of_another_scene_is_not_shown_here() -> None:
+    fill()
+    here = bpy.context.scene.name
+    for scene, is_shown in ((here, True), ("Another", False)):
+        STATE.last_job = LastJob(False, "It stopped.", scene=scene)
+        STATE.plan = PlanView((PlanLine("needed", "a stroke", "because"),), 75.0, 48_321, scene)
+        said, planned = drawn(panel("HNF_PT_scene")), drawn(panel("HNF_PT_plan"))
+        assert said is not None
+        assert planned is not None
+        assert [text in said.words for text in ("It stopped.", "1 min 15 s")] == [is_shown] * 2
+        assert ("because" in planned.words) is is_shown
+
+
 def test_a_running_job_shows_its_stage_and_the_way_out() -> None:
     fill()
     STATE.job = JobStatus("Bake", "Close-ups", 3, 12, 4.0, 11.0)
