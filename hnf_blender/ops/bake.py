@@ -193,8 +193,10 @@ class HNF_OT_purge(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
         return set(context.window_manager.invoke_props_dialog(self))
 
     def execute(self, context: Any) -> set[str]:
+        from .diagnose import collect_again
         from ..jobs.purge import purge
 
+        collect_again()
         freed = purge(context.scene, context.view_layer, everything=self.what == "ALL")
         self.report({"INFO"}, freed.message)
         redraw_tab()

@@ -4,6 +4,7 @@
 
 import platform
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,12 @@ def collect() -> tuple[tuple[str, str], ...]:
         rows.append(("Last job", f"{outcome}: {STATE.last_job.message}"))
         rows += [("", detail) for detail in STATE.last_job.details]
     return tuple(rows)
+
+
+def collect_again() -> None:
+    """After sizes changed: where they are shown, show those of now."""
+    if STATE.diagnosis:
+        STATE.diagnosis = collect()
 
 
 def as_text(rows: tuple[tuple[str, str], ...]) -> str:
@@ -138,12 +145,13 @@ class HNF_OT_cache_clear(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
 
     def execute(self, _context: Any) -> set[str]:
         folder = cache_folder()
-        freed = folder_bytes(folder)
+        before = folder_bytes(folder)
         for path in folder.rglob("*"):
             if path.is_file():
-                path.unlink(missing_ok=True)
-        STATE.diagnosis = collect() if STATE.diagnosis else ()
-        self.report({"INFO"}, tr("{size} freed").format(size=byte_text(freed)))
+                with suppress(OSError):  # in use by another Blender: Windows keeps it
+                    path.unlink()
+        collect_again()
+        self.report({"INFO"}, tr("{size} freed").format(size=byte_text(before - folder_bytes(folder))))
         return {"FINISHED"}
 
 

@@ -110,6 +110,7 @@ class SessionState:
         self.strokes.clear()
         self.dirty.clear()
         self.suggestions.clear()
+        self.diagnosis = ()
         self.job = self.last_job = self.plan = None
 
 

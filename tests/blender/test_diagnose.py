@@ -81,3 +81,33 @@ def test_a_bake_keeps_its_cache(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="bake is running"):
         bpy.ops.hnf.cache_clear()
     assert (tmp_path / "patch.npz").is_file()
+
+
+def test_another_file_is_not_described_by_the_last_ones_figures() -> None:
+    bpy.ops.hnf.diagnose()
+    STATE.clear()
+    assert STATE.diagnosis == ()
+
+
+def test_figures_are_collected_again_only_where_they_are_shown(tmp_path: Path) -> None:
+    diagnose.collect_again()
+    assert STATE.diagnosis == ()
+    bpy.ops.hnf.diagnose()
+    (tmp_path / "patch.npz").write_bytes(bytes(2500))
+    diagnose.collect_again()
+    assert dict(STATE.diagnosis)["Cache size"] == "2.5 kB"
+
+
+def test_a_cache_file_in_use_is_left_and_not_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, size in (("held.npz", 3000), ("free.npz", 2000)):
+        (tmp_path / name).write_bytes(bytes(size))
+    unlink = Path.unlink
+
+    def refusing(path: Path, missing_ok: bool = False) -> None:
+        if path.name == "held.npz":
+            raise PermissionError("in use")
+        unlink(path, missing_ok)
+
+    monkeypatch.setattr(Path, "unlink", refusing)
+    assert bpy.ops.hnf.cache_clear() == {"FINISHED"}
+    assert [path.name for path in tmp_path.iterdir()] == ["held.npz"]
