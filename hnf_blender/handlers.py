@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 from .bridge.temporary import SCENE_NAME
+from .state import picked
 from .state.session import STATE
 from .state.watch import EVERYTHING, drain, forget
 
@@ -42,6 +43,7 @@ def leave_file(*_: Any) -> None:
 def enter_file(*_: Any) -> None:
     """load_post."""
     forget()
+    picked.forget()
     STATE.clear()
     STATE.dirty.add(EVERYTHING)
     STATE.changes += 1
@@ -58,6 +60,8 @@ def tick() -> float:
     windows = bpy.context.window_manager.windows
     if any(window.screen.is_animation_playing for window in windows):
         return INTERVAL_S
+    if any(picked.hold(window.scene) for window in windows):
+        redraw_tab()
     if not (STATE.dirty or STATE.strokes):
         return INTERVAL_S
     if (STATE.strokes or any(strokes_of(window.scene) for window in windows)) and not is_ready():
@@ -97,4 +101,5 @@ def unregister() -> None:
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
     forget()
+    picked.forget()
     STATE.clear()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 _OWNER = object()
 
 
@@ -22,12 +24,23 @@ def register() -> None:
 
     if bpy.app.background:
         return
-    bpy.msgbus.subscribe_rna(
-        key=(bpy.types.LayerObjects, "active"), owner=_OWNER, args=(), notify=follow, options={"PERSISTENT"}
-    )
+    bpy.app.handlers.load_post.append(bpy.app.handlers.persistent(_subscribe))
+    _subscribe()
 
 
 def unregister() -> None:
     import bpy
 
+    if _subscribe in bpy.app.handlers.load_post:
+        bpy.app.handlers.load_post.remove(_subscribe)
     bpy.msgbus.clear_by_owner(_OWNER)
+
+
+def _subscribe(*_: Any) -> None:
+    """load_post too: Blender forgets who listens with every file it opens."""
+    import bpy
+
+    bpy.msgbus.clear_by_owner(_OWNER)
+    bpy.msgbus.subscribe_rna(
+        key=(bpy.types.LayerObjects, "active"), owner=_OWNER, args=(), notify=follow, options={"PERSISTENT"}
+    )

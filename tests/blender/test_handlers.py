@@ -9,7 +9,7 @@ from job_scene import PLATE, line_stroke, small_scene
 
 from hnf_blender import handlers
 from hnf_blender.jobs import running
-from hnf_blender.state import watch
+from hnf_blender.state import picked, watch
 from hnf_blender.state.guard import own_changes
 from hnf_blender.state.session import STATE, Freshness, StrokeStatus
 from hnf_blender.state.watch import EVERYTHING, refresh_status

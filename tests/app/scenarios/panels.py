@@ -112,3 +112,25 @@ def check_the_preferences(stage):
     with bpy.context.temp_override(window=bpy.context.window_manager.windows[-1]):
         bpy.ops.wm.window_close()
     yield 0.3
+
+
+def check_the_list_in_a_file_that_was_opened(stage):
+    """It follows what is selected, and keeps what is picked while other objects come and go."""
+    path = stage.folder / "panels.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path), check_existing=False)
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    yield 1.0
+
+    def picked():
+        scene = bpy.context.scene
+        return scene.objects[scene.hnf.stroke_index].name
+
+    for name in sorted(obj.name for obj in strokes())[1:3]:
+        bpy.context.view_layer.objects.active = bpy.context.scene.objects[name]
+        yield 0.5
+        stage.expect("it follows the selection", picked() == name, (picked(), name))
+    last = picked()
+    with stage.over():
+        bpy.ops.object.empty_add()
+    yield 1.0
+    stage.expect("it keeps what is picked", picked() == last, (picked(), last))

@@ -1,0 +1,31 @@
+"""The stroke picked in the list stays picked. Blender's list counts all objects of the scene, so one that comes or goes
+elsewhere would make the panels speak of another stroke."""
+
+from __future__ import annotations
+
+from typing import Any
+
+_picked: dict[str, tuple[int, str]] = {}
+"""Scene → index as last seen, and the stroke there."""
+
+
+def hold(scene: Any) -> bool:
+    """Called now and then. Where the index is what it was and another object stands there: move it to where the stroke
+    is now. True when it moved."""
+    index, name = int(scene.hnf.stroke_index), _stroke_at(scene, int(scene.hnf.stroke_index))
+    before, was = _picked.get(scene.name, (index, name))
+    moved = scene.objects.find(was) if was and was != name and before == index else -1
+    if moved >= 0:
+        scene.hnf.stroke_index, index, name = moved, moved, was
+    _picked[scene.name] = index, name
+    return moved >= 0
+
+
+def forget() -> None:
+    """Another file."""
+    _picked.clear()
+
+
+def _stroke_at(scene: Any, index: int) -> str:
+    obj = scene.objects[index] if index < len(scene.objects) else None
+    return str(obj.name) if obj is not None and obj.hnf_stroke.is_stroke else ""
