@@ -49,7 +49,7 @@ def felt_object(context: Any) -> Any:
 
 def materials_of(obj: Any) -> list[Any]:
     """The materials in the object's slots, each once."""
-    found = {slot.material.name: slot.material for slot in obj.material_slots if slot.material is not None}
+    found = {slot.material.name_full: slot.material for slot in obj.material_slots if slot.material is not None}
     return list(found.values())
 
 
@@ -79,7 +79,7 @@ class HNF_OT_suggest(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  #
         try:
             for material in materials_of(obj):
                 names = [material.name, obj.name, obj.data.name]
-                STATE.suggestions[material.name] = rank(load_library(), stated_appearance(material), names)
+                STATE.suggestions[material.name_full] = rank(load_library(), stated_appearance(material), names)
         except HnfError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -93,7 +93,11 @@ class HNF_OT_material_choose(bpy.types.Operator):  # type: ignore[misc]  # noqa:
     bl_options = UNDOABLE
     bl_property = "name"
 
-    material: bpy.props.StringProperty(name="Material", description="Name of the Blender material", options={"HIDDEN"})
+    material: bpy.props.StringProperty(
+        name="Material",
+        description="Full name of the Blender material, which tells linked ones from those of this file",
+        options={"HIDDEN"},
+    )
     name: bpy.props.EnumProperty(name="Feels like", description="Material of the library", items=LIBRARY)
 
     @classmethod
@@ -120,7 +124,11 @@ class HNF_OT_material_auto(bpy.types.Operator):  # type: ignore[misc]  # noqa: N
     bl_description = "Forget the choice made by hand: how the material looks decides again"
     bl_options = UNDOABLE
 
-    material: bpy.props.StringProperty(name="Material", description="Name of the Blender material", options={"HIDDEN"})
+    material: bpy.props.StringProperty(
+        name="Material",
+        description="Full name of the Blender material, which tells linked ones from those of this file",
+        options={"HIDDEN"},
+    )
 
     def execute(self, _context: Any) -> set[str]:
         return _write(self, self.material, "")
@@ -170,8 +178,14 @@ def _stroke_meant(cls: Any, context: Any) -> bool:
     return True
 
 
+def _material(name: str) -> Any:
+    """The material of this full name, since a linked one may be called like one of this file; else of this name, as
+    scripts give it; else None."""
+    return next((each for each in bpy.data.materials if each.name_full == name), bpy.data.materials.get(name))
+
+
 def _write(operator: Any, material_name: str, library_name: str) -> set[str]:
-    material = bpy.data.materials.get(material_name)
+    material = _material(material_name)
     if material is None:
         operator.report({"ERROR"}, tr("There is no material '{name}' in this file").format(name=material_name))
         return {"CANCELLED"}

@@ -90,8 +90,8 @@ class PlanView:
 @dataclass
 class SessionState:
     """strokes: by stroke object name. dirty: names of datablocks changed since their strokes were looked at.
-    suggestions: by Blender material name, the most apt first. diagnosis: (name, value) as last collected.
-    heard: something was played since Blender started.
+    suggestions: by the full name of the Blender material, the most apt first. diagnosis: (name, value) as last
+    collected. heard: something was played since Blender started.
     changes: counts what people changed, undo and redo included. own: above 0 while the add-on itself changes things."""
 
     strokes: dict[str, StrokeStatus] = field(default_factory=dict)

@@ -22,7 +22,7 @@ def felt_text(material: Any) -> tuple[str, str]:
         return "LOCKED", spoken(material.hnf_touch.library)
     if OWN_DEFINITION in material:
         return "LOCKED", tr("Own (.hnf)")
-    ranked = STATE.suggestions.get(material.name)
+    ranked = STATE.suggestions.get(material.name_full)
     if ranked:
         return "UNLOCKED", f"{spoken(ranked[0].name)} ({sure_text(ranked[0].confidence)})"
     baked = next((status for status in STATE.strokes.values() if status.shader == material.name), None)
@@ -84,21 +84,21 @@ def draw_material(layout: Any, context: Any, material: Any) -> None:
     row = box.row(align=True)
     row.label(text=felt, icon=icon, translate=False)
     if icon == "LOCKED":
-        row.operator("hnf.material_auto", text="Automatic", icon="LOOP_BACK").material = material.name
+        row.operator("hnf.material_auto", text="Automatic", icon="LOOP_BACK").material = material.name_full
     column = box.column(align=True)
-    ranked = STATE.suggestions.get(material.name, ())[:MOST_SUGGESTIONS]
+    ranked = STATE.suggestions.get(material.name_full, ())[:MOST_SUGGESTIONS]
     for suggestion in ranked:
         text = f"{spoken(suggestion.name)}  {round(100 * suggestion.confidence)} %"
         choose = column.operator(
             "hnf.material_choose", text=text, translate=False,
             depress=material.hnf_touch.library == suggestion.name,
         )  # fmt: skip
-        choose.material, choose.name = material.name, suggestion.name
+        choose.material, choose.name = material.name_full, suggestion.name
     if ranked:
         paragraph(box, context, tr("Why: {reason}").format(reason=reason_text(ranked[0].reason)), icon="INFO")
     row = side_by_side(box, context)
     row.operator("hnf.suggest", text="Suggest", icon="LIGHT")
-    row.operator("hnf.material_choose", text="Choose…", icon="VIEWZOOM").material = material.name
+    row.operator("hnf.material_choose", text="Choose…", icon="VIEWZOOM").material = material.name_full
     row.operator("hnf.import_material", text="File…", icon="FILE_FOLDER")
 
 

@@ -112,6 +112,25 @@ def test_a_choice_is_kept_in_the_file_until_it_is_taken_back(tmp_path) -> None:
     assert bpy.data.materials["Seat"].hnf_touch.library == ""
 
 
+def test_a_linked_material_is_not_taken_for_its_namesake_here(tmp_path) -> None:
+    path = tmp_path / "library.blend"
+    bpy.data.libraries.write(str(path), {material("Seat")})
+    bpy.data.materials.remove(bpy.data.materials["Seat"])
+    own = material("Seat")
+    with bpy.data.libraries.load(str(path), link=True) as (_, wanted):
+        wanted.materials = ["Seat"]
+    linked = wanted.materials[0]
+    assert (linked.name, linked.name_full != own.name_full) == ("Seat", True)
+    touched(linked)
+    assert bpy.ops.hnf.suggest() == {"FINISHED"}
+    assert list(STATE.suggestions) == [linked.name_full]
+    with pytest.raises(RuntimeError, match="linked from another file"):
+        bpy.ops.hnf.material_choose(material=linked.name_full, name="leather")
+    assert own.hnf_touch.library == ""
+    assert bpy.ops.hnf.material_choose(material=own.name_full, name="leather") == {"FINISHED"}
+    assert (own.hnf_touch.library, linked.hnf_touch.library) == ("leather", "")
+
+
 def test_a_choice_makes_its_strokes_worth_a_look() -> None:
     touched(material("Seat"))
     bpy.ops.hnf.material_choose(material="Seat", name="leather")
