@@ -23,6 +23,9 @@ LAST_LINES = 12
 DEATH_S = 5.0
 """How long is waited, beside the window, for a killed process to be gone; it can do nothing any more."""
 
+NEW_GROUP, NO_CONSOLE = 0x200, 0x08000000
+"""Windows: a process group of its own; no console window that flashes up. subprocess names them there alone."""
+
 
 class Child:
     """A Blender of its own at work on one job's folder."""
@@ -31,7 +34,9 @@ class Child:
         """Raises FileError where it cannot be started."""
         self._messages: queue.SimpleQueue[Message] = queue.SimpleQueue()
         self._said: deque[str] = deque(maxlen=LAST_LINES)
-        own_group: dict[str, Any] = {"creationflags": 0x200} if sys.platform == "win32" else {"start_new_session": True}
+        own_group: dict[str, Any] = (
+            {"creationflags": NEW_GROUP | NO_CONSOLE} if sys.platform == "win32" else {"start_new_session": True}
+        )
         try:
             self._process: subprocess.Popen[bytes] = subprocess.Popen(
                 command(folder),
@@ -82,13 +87,21 @@ class Child:
         if sys.platform != "win32":
             with contextlib.suppress(OSError):
                 os.killpg(self.pid, signal.SIGKILL)
-        threading.Thread(target=self._bury, args=(then,), name="hnf bake end").start()
+        try:
+            threading.Thread(target=self._bury, args=(then,), name="hnf bake end").start()
+        except RuntimeError:  # Python is ending, and from 3.12 on begins no thread then
+            self._bury(then)
 
     def _bury(self, then: Callable[[], None]) -> None:
         """The thread: a killed process that was busy starting takes a while to be cleared away."""
         if sys.platform == "win32":
             with contextlib.suppress(OSError, subprocess.TimeoutExpired):
-                subprocess.run(["taskkill", "/F", "/T", "/PID", str(self.pid)], capture_output=True, timeout=DEATH_S)
+                subprocess.run(
+                    ["taskkill", "/F", "/T", "/PID", str(self.pid)],
+                    capture_output=True,
+                    timeout=DEATH_S,
+                    creationflags=NO_CONSOLE,
+                )
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(DEATH_S)
         self._let_go()

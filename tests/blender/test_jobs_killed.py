@@ -46,3 +46,20 @@ def test_the_child_of_a_dead_parent_ends_and_its_folder_is_found(tmp_path) -> No
     assert not is_alive(parent)
     assert remove_abandoned()
     assert not list(job_root().glob(f"{PREFIX}{parent}-*"))
+
+
+def test_it_is_cleared_away_where_no_thread_can_be_begun_any_more(warm_bake, monkeypatch) -> None:
+    """Python 3.12 and later begin none while they end, which is when Blender quits."""
+    import threading
+
+    small_scene()
+    pid = start().pid
+
+    def refused(_):
+        raise RuntimeError("can't create new thread at interpreter shutdown")
+
+    monkeypatch.setattr(threading.Thread, "start", refused)
+    assert current.cancel()
+    monkeypatch.undo()
+    assert is_gone(pid)
+    assert my_folders() == []
