@@ -203,10 +203,18 @@ class OfStroke:
         return {"FINISHED"}
 
 
+class OfStrokeObject(OfStroke):
+    """Those that make or remove objects: in Edit Mode they would pull it from under the edit."""
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return needs_object_mode(cls, context) and super().poll(context)
+
+
 NAME = {"name": "Name", "description": "Stroke object; empty: the active one", "options": {"HIDDEN", "SKIP_SAVE"}}
 
 
-class HNF_OT_stroke_delete(OfStroke, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+class HNF_OT_stroke_delete(OfStrokeObject, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.stroke_delete"
     bl_label = "Delete Stroke"
     bl_description = "Delete this stroke with its curve and keyframes"
@@ -231,7 +239,7 @@ class HNF_OT_stroke_delete(OfStroke, bpy.types.Operator):  # type: ignore[misc] 
         return f"Deleted {name}"
 
 
-class HNF_OT_stroke_duplicate(OfStroke, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+class HNF_OT_stroke_duplicate(OfStrokeObject, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.stroke_duplicate"
     bl_label = "Duplicate Stroke"
     bl_description = "A second stroke like this one, with a curve and keyframes of its own"

@@ -130,6 +130,21 @@ def test_delete_takes_curve_and_keys_along():
         bpy.ops.hnf.stroke_delete()
 
 
+def test_a_stroke_is_not_pulled_from_under_its_edit():
+    select(add_plane())
+    bpy.ops.hnf.stroke_add()
+    stroke = active_stroke(bpy.context)
+    select(stroke)
+    bpy.ops.object.mode_set(mode="EDIT")
+    for work in (bpy.ops.hnf.stroke_delete, bpy.ops.hnf.stroke_duplicate):
+        with pytest.raises(RuntimeError, match="Object Mode"):
+            work()
+    assert stroke_objects(bpy.context.scene) == [stroke]
+    assert stroke.mode == "EDIT"
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert bpy.ops.hnf.stroke_delete() == {"FINISHED"}
+
+
 def test_duplicate_has_keys_of_its_own():
     select(add_plane())
     bpy.ops.hnf.stroke_add()
