@@ -33,6 +33,9 @@ def enter_file(*_: Any) -> None:
     stop()
     timeline.FOLLOWER.begun_at = None
     _waiting.clear()
+    if PREVIEW.listener is not None:  # with what it kept and is still making of the other file's strokes
+        PREVIEW.listener.end(wait=False)
+        PREVIEW.listener = None
     PREVIEW.clear()
 
 

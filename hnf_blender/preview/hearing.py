@@ -121,13 +121,13 @@ class Listener:
         with self._condition:
             return bool(self._wanted) or self._busy
 
-    def end(self) -> None:
-        """Stop the thread and wait for it: between two blocks it looks up, so not long."""
+    def end(self, *, wait: bool = True) -> None:
+        """Stop the thread. wait: until it has ended; between two blocks it looks up, so not long."""
         with self._condition:
             self._ending = True
             self._wanted.clear()
             self._condition.notify()
-        if self._thread is not None:
+        if wait and self._thread is not None:
             self._thread.join(timeout=5.0)
 
     def _run(self) -> None:

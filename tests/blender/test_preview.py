@@ -65,6 +65,18 @@ def export(tmp_path, **words) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
+def test_another_file_takes_nothing_that_was_still_being_heard(stroke) -> None:
+    current.refresh(stroke, bpy.context, wait=False)
+    listener = PREVIEW.listener
+    assert listener is not None
+    preview.enter_file()
+    assert PREVIEW.listener is None
+    listener._thread.join(timeout=30.0)
+    assert not listener._thread.is_alive()
+    assert current.collect() == set()
+    assert PREVIEW.heard == {}
+
+
 def test_saved_and_loaded_it_sounds_the_same(stroke, tmp_path) -> None:
     stored, heard = bytes(stroke[BAKE_PROPERTY]), samples_of(stroke)
     path = save_scene(tmp_path / "scene.blend")
