@@ -31,7 +31,7 @@ class Overlay:
     paths: dict[str, OverlayPath | None] = field(default_factory=dict)
     dirty: set[str] = field(default_factory=set)
     all_dirty: bool = True
-    rates: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    rates: dict[str, tuple[object, ...]] = field(default_factory=dict)
     handle: Any = None
     has_batches: bool = False
 
@@ -71,7 +71,7 @@ def _changed(scene: Any, depsgraph: Any) -> None:
     """Names of what a stroke may be drawn from."""
     if STATE.own or scene.name == SCENE_NAME:
         return
-    rate = (float(scene.render.fps), float(scene.render.fps_base), float(scene.hnf.metres_per_unit))
+    rate = _rate(scene)
     if rate != OVERLAY.rates.get(scene.name):
         OVERLAY.rates[scene.name] = rate
         _everything()
@@ -82,6 +82,12 @@ def _changed(scene: Any, depsgraph: Any) -> None:
     if names:
         OVERLAY.dirty |= names
         _soon()
+
+
+def _rate(scene: Any) -> tuple[object, ...]:
+    """What turns a speed into frames: a change of it tells of no object."""
+    units = scene.unit_settings
+    return scene.render.fps, scene.render.fps_base, scene.hnf.metres_per_unit, units.system, units.scale_length
 
 
 @persistent  # type: ignore[untyped-decorator]
