@@ -30,7 +30,6 @@ def show_curve(context: Any, obj: Any, data_path: str) -> None:
         obj.select_set(True, view_layer=layer)
         layer.objects.active = obj
     area = _graph_area(context, window)
-    area.ui_type = "FCURVES"
     space = area.spaces.active
     space.dopesheet.show_only_selected = True
     space.dopesheet.show_hidden = False
@@ -53,8 +52,10 @@ def _graph_area(context: Any, window: Any) -> Any:
     with context.temp_override(window=window, area=largest):
         bpy.ops.screen.area_split(direction="HORIZONTAL", factor=SHARE)
     added = [area for area in window.screen.areas if area.as_pointer() not in before]
-    pair = [*added, largest]
-    return min(pair, key=lambda area: area.y)
+    area = min([*added, largest], key=lambda area: area.y)
+    area.ui_type = "FCURVES"
+    area.spaces.active.show_region_ui = False  # small as it is, the curve needs the room
+    return area
 
 
 def _is_flat(obj: Any, data_path: str) -> bool:
