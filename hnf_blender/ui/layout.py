@@ -22,10 +22,14 @@ class TouchPanel:
     bl_category = "Touch"
 
 
+def line_px(context: Any) -> float:
+    """Width of a line in the region, at resolution scale 1."""
+    return float(context.region.width / context.preferences.system.ui_scale - MARGIN_PX)
+
+
 def characters(context: Any) -> int:
     """How many characters fit in a line of the region."""
-    scale = float(context.preferences.system.ui_scale)
-    return max(12, int((context.region.width / scale - MARGIN_PX) / CHARACTER_PX))
+    return max(12, int(line_px(context) / CHARACTER_PX))
 
 
 def paragraph(layout: Any, context: Any, text: str, icon: str = "NONE", indent: int = 0) -> None:

@@ -10,11 +10,13 @@ from hnf_core.action.primitives import PRIMITIVES
 
 from ..state.session import STATE
 from ..translations import tr
-from .layout import characters
+from .layout import characters, line_px
 from .texts import look, shortened
 
-NAME_SHARE = 0.74
-"""Of a row of the list; the rest is for solo and mute."""
+NAME_SHARE, LEAST_SHARE = 0.74, 0.3
+"""Of a row of the list, at the most and at the least; the rest is for solo and mute."""
+SWITCHES_PX = 46.0
+"""Solo and mute beside each other, at resolution scale 1; with less they are drawn over each other."""
 PRIMITIVE_ICONS = {"scrape": "IPO_LINEAR", "rub": "FORCE_VORTEX"}
 
 
@@ -45,13 +47,14 @@ class HNF_UL_strokes(bpy.types.UIList):  # type: ignore[misc]  # noqa: N801
         self, context: Any, layout: Any, _data: Any, obj: Any, _icon: int, _active_data: Any, _active: str, _index: int
     ) -> None:
         status = STATE.strokes.get(obj.name)
-        row = layout.split(factor=NAME_SHARE)
+        share = name_share(line_px(context))
+        row = layout.split(factor=share)
         row.active = not obj.hnf_stroke.mute
         name = row.row(align=True)
         name.alignment = "LEFT"
         select = name.operator(
             "hnf.stroke_select",
-            text=shortened(obj.name, max(4, int(NAME_SHARE * characters(context)) - 6)),
+            text=shortened(obj.name, max(4, int(share * characters(context)) - 6)),
             icon=look(status)[0],
             emboss=False,
             translate=False,
@@ -74,6 +77,11 @@ class HNF_UL_strokes(bpy.types.UIList):  # type: ignore[misc]  # noqa: N801
         ]
         order = bpy.types.UI_UL_list.sort_items_by_name(objects, "name")
         return shown, order
+
+
+def name_share(row_px: float) -> float:
+    """Of a row so wide: what the name gets, so that solo and mute have their room."""
+    return max(LEAST_SHARE, min(NAME_SHARE, 1.0 - SWITCHES_PX / max(row_px, SWITCHES_PX)))
 
 
 def is_solo(scene: Any, stroke: Any) -> bool:

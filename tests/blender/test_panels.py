@@ -28,7 +28,7 @@ from hnf_blender.state.session import (
     PlanView,
     StrokeStatus,
 )
-from hnf_blender.ui import texts
+from hnf_blender.ui import stroke_list, texts
 from hnf_core.action.primitives import PRIMITIVES
 
 ROOT = Path(__file__).resolve().parents[2]
