@@ -36,11 +36,6 @@ def use_multilayer_exr(render: Any) -> None:
     settings.exr_codec = "ZIP"
 
 
-def object_index_pass() -> str:
-    """Name of the object index pass in a multilayer EXR."""
-    return "Object Index" if version() >= (5, 0, 0) else "IndexOB"
-
-
 def eevee_engine() -> str:
     """Identifier of EEVEE (the rewritten one) in render.engine."""
     return "BLENDER_EEVEE" if version() >= (5, 0, 0) else "BLENDER_EEVEE_NEXT"

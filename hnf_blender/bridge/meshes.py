@@ -193,12 +193,6 @@ class BlenderGeometry:
         return closest_on(self._corners, np.array(nearest, dtype=np.int32).reshape(-1), points)
 
 
-def surface_geometry(mesh: TriangleMesh) -> tuple[RayCaster, BlenderGeometry]:
-    """(ray caster, nearest-point query): Embree where it is installed, Blender's BVH otherwise."""
-    nearest = BlenderGeometry(mesh)
-    return ray_caster(mesh, nearest), nearest
-
-
 def ray_caster(mesh: TriangleMesh, fallback: BlenderGeometry | None = None) -> RayCaster:
     """Embree where it is installed (not on Linux arm), Blender's BVH otherwise: equal results, ten times slower."""
     from hnf_core.scene.raycast import embree_caster

@@ -14,8 +14,6 @@ Float = NDArray[np.float64]
 
 FIELD_OF_VIEW = np.radians(40.0)
 """Of the camera that is supplied, across the image."""
-CLOSEST_UNITS = 1e-6
-"""Blender's smallest clip start."""
 
 
 def camera_record(scene: Any, camera_object: Any, metres_per_unit: float, matrix_world: Any = None) -> Camera:

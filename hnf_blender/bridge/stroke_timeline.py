@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from hnf_core.action.curves import ArcCurve, by_arc_length
 from hnf_core.action.time_law import checked_force, checked_progress, time_grid
-from hnf_core.units import frame_to_seconds
 
 from ..props.stroke import FORCE_MAX_N
 from .channels import Channel, read_channel, sample_channels
@@ -63,11 +62,6 @@ def motion_end(obj: Any, scene: Any, metres_per_unit: float) -> float:
     length = by_arc_length(read_curve(obj).transformed(world)).length
     still = Channel("force", "set", -np.inf)
     return start + law_of(group, length, (still, progress), start, frame_s, where)[1] / frame_s
-
-
-def seconds_between(scene: Any, first: float, last: float) -> float:
-    """Seconds from one frame to another."""
-    return frame_to_seconds(last, first, float(scene.render.fps), float(scene.render.fps_base))
 
 
 def _plain(channel: Channel) -> Channel:

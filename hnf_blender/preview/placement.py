@@ -41,11 +41,6 @@ class Placed:
         return self.start + len(self.samples) / self.rate * clock.fps / clock.fps_base
 
 
-def offset_s(frame: float, start: float, clock: Clock) -> float:
-    """How far into a stroke frame lies, in seconds; negative before its start."""
-    return clock.seconds(frame, start)
-
-
 def mix(placed: Sequence[Placed], frame: float, last_frame: float, clock: Clock) -> Samples:
     """What sounds from frame to the end of last_frame: the sum of the strokes, (n,) at their common rate.
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from hnf_core.action.contacts import Contacts
 from hnf_core.files import content_hash
 from hnf_core.material.encoder import describe
 from hnf_core.material.hnf_file import MaterialFile
@@ -112,10 +111,6 @@ def mean_appearance(records: Sequence[PatchRecord]) -> Appearance:
         *(_mean([getattr(record.appearance, name) for record in records])
           for name in ("roughness", "metallic", "sheen", "transmission")),
     )  # fmt: skip
-
-
-def touched_slots(contacts: Contacts) -> list[int]:
-    return [int(slot) for slot in np.unique(contacts.slot[contacts.on_surface])]
 
 
 def _mean(values: Sequence[float | None]) -> float | None:

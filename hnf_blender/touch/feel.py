@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,18 +117,6 @@ class Felt:
     @property
     def action(self) -> Action:
         return self.stroke.action
-
-
-def bake_stroke(
-    stroke: SceneStroke, touched: TouchedObject, choices: Mapping[int | None, str], folder: Path, counts: Counts
-) -> BakedStroke:
-    """bake_stroke_steps, all of them."""
-    steps = bake_stroke_steps(stroke, touched, choices, folder, counts)
-    while True:
-        try:
-            next(steps)
-        except StopIteration as done:
-            return cast(BakedStroke, done.value)
 
 
 def bake_stroke_steps(

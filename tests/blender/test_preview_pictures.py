@@ -20,7 +20,7 @@ from hnf_blender.preview.pictures import (
     nice_above,
     stroke_picture,
 )
-from hnf_blender.preview.placement import Clock, Placed, has_jumped, mix, offset_s
+from hnf_blender.preview.placement import Clock, Placed, has_jumped, mix
 from hnf_core.action.action import Action
 from hnf_core.signal import Signal
 
@@ -34,7 +34,7 @@ def ramp(count: int) -> np.ndarray:
 
 @given(CLOCKS, st.floats(-100.0, 300.0), st.floats(-100.0, 300.0))
 def test_a_frame_and_its_offset_are_the_same_place(clock, start, frame) -> None:
-    seconds = offset_s(frame, start, clock)
+    seconds = clock.seconds(frame, start)
     assert start + seconds * clock.fps / clock.fps_base == pytest.approx(frame, abs=1e-9)
 
 
