@@ -13,6 +13,8 @@ from ..state.guard import own_changes
 from ..state.session import STATE, Freshness, StrokeStatus
 from ..touch.jobs import Session
 from ..touch.stored import forget, judge, stored_bytes, tokens_are_there
+from ..translations import tr
+from ..ui.texts import byte_text
 from .work import scene_session
 
 
@@ -25,8 +27,8 @@ class Freed:
 
     @property
     def message(self) -> str:
-        size = f"{self.bytes / 1e6:.1f} MB" if self.bytes >= 1e6 else f"{self.bytes / 1e3:.0f} kB"
-        done = f"{size} of touch data removed." if self.bytes else "There was nothing to remove."
+        removed = tr("{size} of touch data removed.").format(size=byte_text(self.bytes))
+        done = removed if self.bytes else tr("There was nothing to remove.")
         return " ".join((done, *self.left))
 
 
@@ -43,7 +45,7 @@ def purge(scene: Any, view_layer: Any, *, everything: bool) -> Freed:
             if obj.library is None and stored_bytes(obj) and (session is None or _is_outgrown(session, obj)):
                 freed += forget(obj)
                 if obj.name in STATE.strokes:
-                    STATE.strokes[obj.name] = StrokeStatus(Freshness.UNBAKED, "Not baked yet.")
+                    STATE.strokes[obj.name] = StrokeStatus(Freshness.UNBAKED, tr("Not baked yet."))
         for mesh in bpy.data.meshes:
             if mesh.library is None and SCHEMA_PROPERTY in mesh and (session is None or _is_old(session, mesh)):
                 try:

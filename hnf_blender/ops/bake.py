@@ -12,6 +12,8 @@ from ..jobs import current
 from ..props.scene import active_stroke, strokes_of
 from ..state.redraw import redraw_tab
 from ..state.session import STATE, LastJob
+from ..translations import tr
+from ..ui.texts import job_text, left_text
 
 TICK_S = 0.1
 
@@ -117,10 +119,7 @@ class HNF_OT_bake(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
         job = STATE.job
         if job is None:
             return
-        left = "" if job.left_s is None else f", about {job.left_s:.0f} s left"
-        strokes = job.total - 1  # the last step saves
-        count = f" ({min(job.done + 1, strokes)} of {strokes})" if strokes > 0 else ""
-        text = f"{job.title}: {job.stage}{count}{left}.  Esc: cancel"
+        text = f"{tr('Touch bake')}: {job_text(job)}, {left_text(job)}.  {tr('Esc: cancel')}"
         context.workspace.status_text_set(text)
         context.window_manager.progress_update(job.done / max(1, job.total))
         redraw_tab()
@@ -193,11 +192,11 @@ class HNF_OT_purge(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
         return set(context.window_manager.invoke_props_dialog(self))
 
     def execute(self, context: Any) -> set[str]:
-        from .diagnose import collect_again
         from ..jobs.purge import purge
+        from .diagnose import collect_again
 
-        collect_again()
         freed = purge(context.scene, context.view_layer, everything=self.what == "ALL")
+        collect_again()
         self.report({"INFO"}, freed.message)
         redraw_tab()
         return {"FINISHED"} if freed.bytes else {"CANCELLED"}

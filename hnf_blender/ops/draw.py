@@ -230,9 +230,10 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
             metres_per_unit=metres,
         )
         make_active(context, made.obj)
-        lifted = "; silent where it left the surface" if made.drawn.lifted else ""
+        lifted = tr("; silent where it left the surface") if made.drawn.lifted else ""
+        said = tr("{name}: {length} mm in {time} s")
         length, seconds = m_to_mm(made.drawn.length_m), made.drawn.duration_s
-        return f"{made.obj.name}: {length:.0f} mm in {seconds:.2f} s{lifted}"
+        return said.format(name=made.obj.name, length=f"{length:.0f}", time=f"{seconds:.2f}") + lifted
 
     def _surface(self, context: Any, points: Any, depsgraph: Any, metres: float) -> Any:
         from ..bridge.meshes import surface_mesh

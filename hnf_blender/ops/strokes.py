@@ -236,7 +236,7 @@ class HNF_OT_stroke_delete(OfStrokeObject, bpy.types.Operator):  # type: ignore[
                 kept.remove(data)
         if rest:
             scene.hnf.stroke_index = max(0, scene.objects.find(rest[min(at, len(rest) - 1)]))
-        return f"Deleted {name}"
+        return tr("Deleted {name}").format(name=name)
 
 
 class HNF_OT_stroke_duplicate(OfStrokeObject, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
@@ -258,7 +258,7 @@ class HNF_OT_stroke_duplicate(OfStrokeObject, bpy.types.Operator):  # type: igno
             context.scene.collection.objects.link(copy)
         context.view_layer.update()
         make_active(context, copy)
-        return f"{copy.name} is a copy of {stroke.name}"
+        return tr("{copy} is a copy of {name}").format(copy=copy.name, name=stroke.name)
 
 
 class HNF_OT_stroke_select(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
@@ -308,7 +308,7 @@ class HNF_OT_stroke_solo(OfStroke, bpy.types.Operator):  # type: ignore[misc]  #
         alone = [other for other in strokes if not other.hnf_stroke.mute] == [stroke]
         for other in strokes:
             other.hnf_stroke.mute = other != stroke and not alone
-        return "All strokes" if alone else f"Only {stroke.name}"
+        return tr("All strokes") if alone else tr("Only {name}").format(name=stroke.name)
 
 
 CLASSES = (

@@ -13,6 +13,7 @@ from hnf_core.units import m_to_mm
 
 from ..bridge.drawn_stroke import cast_on_surface
 from ..ops.active import metres_of
+from ..translations import tr
 from ..ui.force_colour import force_colour
 
 STEP_PX = 4.0
@@ -48,7 +49,9 @@ class Pen:
         import bpy
 
         self._handle: Any = bpy.types.SpaceView3D.draw_handler_add(self._draw, (), "WINDOW", "POST_VIEW")
-        context.workspace.status_text_set("Press on a surface and drag to draw a stroke.  ESC or right click: give up")
+        context.workspace.status_text_set(
+            tr("Press on a surface and drag to draw a stroke.  ESC or right click: give up")
+        )
 
     def close(self, context: Any) -> None:
         """Take the line and the text away again."""
@@ -86,9 +89,9 @@ class Pen:
 
     def press(self, context: Any, event: Any, region: Any) -> bool:
         """Begin in a region of a 3-D view; False, with why_not, where there is nothing to touch."""
-        self.why_not = "No mesh under the pen: press on a surface that is visible here"
+        self.why_not = tr("No mesh under the pen: press on a surface that is visible here")
         if context.mode != "OBJECT":
-            self.why_not = "Strokes are drawn in Object Mode: press Tab"
+            self.why_not = tr("Strokes are drawn in Object Mode: press Tab")
             return False
         areas = context.window.screen.areas
         self._region = region
@@ -100,7 +103,8 @@ class Pen:
         if hit is None:
             return False
         if hit.obj.hide_render:
-            self.why_not = f"'{hit.obj.name}' is hidden in renders, and what is touched is rendered"
+            said = tr("'{name}' is hidden in renders, and what is touched is rendered")
+            self.why_not = said.format(name=hit.obj.name)
             return False
         self.surface, self.is_down, self._is_pen = str(hit.obj.name), True, bool(event.is_tablet)
         self._last = (x, y, self._pressure_of(event))
@@ -191,11 +195,10 @@ class Pen:
 
     def _tell(self, context: Any) -> None:
         force = self._force_at(self._pressure[-1], self._is_pen)
-        state = f"{force:.2f} N" if self._touching[-1] else "off the surface: silent"
-        length = m_to_mm(self._length * self._metres)
-        context.workspace.status_text_set(
-            f"Stroke on {self.surface}: {length:.0f} mm, {state}.  Release: done.  ESC or right click: give up"
-        )
+        state = f"{force:.2f} N" if self._touching[-1] else tr("off the surface: silent")
+        length = f"{m_to_mm(self._length * self._metres):.0f}"
+        said = tr("Stroke on {surface}: {length} mm, {state}.  Release: done.  ESC or right click: give up")
+        context.workspace.status_text_set(said.format(surface=self.surface, length=length, state=state))
         self._area.tag_redraw()
 
     def _draw(self) -> None:
