@@ -268,61 +268,6 @@ def test_every_operator_and_its_properties_have_tooltips() -> None:
     assert bare == []
 
 
-@pytest.mark.parametrize(
-    ("seconds", "said"),
-    [(0.2, "under 1 s"), (1.0, "1 s"), (59.4, "59 s"), (60.0, "1 min"), (200.0, "3 min 20 s"), (3900.0, "1 h 5 min")],
-)
-def test_times_are_said_as_people_do(seconds: float, said: str) -> None:
-    assert texts.time_text(seconds) == said
-
-
-@pytest.mark.parametrize(
-    ("count", "said"), [(0, "0 B"), (999, "999 B"), (1234, "1.2 kB"), (48_321, "48 kB"), (5_000_000, "5 MB")]
-)
-def test_sizes(count: int, said: str) -> None:
-    assert texts.byte_text(count) == said
-
-
-@pytest.mark.parametrize("most", [8, 12, 20, 200])
-def test_a_shortened_name_fits_and_keeps_both_ends(most: int) -> None:
-    short = texts.shortened(LONG, most)
-    assert len(short) <= most
-    assert (short[0], short[-1]) == (LONG[0], LONG[-1])
-    assert texts.shortened("Rub", most) == "Rub"
-
-
-@pytest.mark.parametrize("most", [8, 20, 60])
-def test_wrapped_lines_fit_and_lose_no_word(most: int) -> None:
-    text = "The mesh of 'Chair' changed since the bake: bake again."
-    lines = texts.wrapped(text, most)
-    assert max(len(line) for line in lines) <= most
-    assert "".join(lines).replace(" ", "") == text.replace(" ", "")
-
-
-def test_routes_are_said_in_an_artists_words() -> None:
-    assert texts.routes_lines("8–2 mm measured, 1–0.125 mm prior") == (
-        "8–2 mm: seen in the shader's relief",
-        "1–0.125 mm: taken from the library",
-    )
-    assert texts.routes_lines("") == ()
-
-
-def test_reasons_are_short() -> None:
-    reason = "'oak' in 'Old oak table; sanded'; 'table' in 'Old oak table'; roughness 0.60 fits"
-    assert texts.reason_text("'oak' in 'Old oak'; 'table' in 'Old table'; colour fits") == (
-        "the name says oak, table; colour fits"
-    )
-    assert texts.reason_text("nothing in the scene tells") == "nothing in the scene tells"
-    assert "roughness 0.60 fits" in texts.reason_text(reason)
-
-
-def test_what_the_strokes_are_is_counted() -> None:
-    states = [Freshness.FRESH, Freshness.FORCE, Freshness.STALE, Freshness.BROKEN]
-    assert texts.counts_text([StrokeStatus(each) for each in states]) == "2 up to date, 1 to bake, 1 broken"
-    assert texts.counts_text([None]) == "1 not looked at"
-    assert texts.counts_text([]) == ""
-
-
 SWITCHING = """
 import bpy, sys, os
 sys.path.insert(0, {root!r})
