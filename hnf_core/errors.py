@@ -37,3 +37,7 @@ class MaterialError(HnfError):
 
 class WeightsError(HnfError):
     """Weights are damaged, or belong to another encoder or architecture."""
+
+
+class DeviceError(HnfError):
+    """An actuator, or the way to it, is missing, busy, of another version, or gone."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..errors import UsageError
 from ..signal import Signal
+from .limits import Limits
 
 
 @dataclass(frozen=True)
@@ -15,7 +16,8 @@ class ActuatorProfile:
     """One transducer. None: not stated in the source.
 
     name: for files and settings. title: for people. range_hz: band it is made for. peak_m_s2: largest acceleration
-    within that range. source: where the figures come from.
+    within that range. source: where the figures come from. sustained: share of its largest level that its coil may
+    carry for ever, thermal_s the time constant of its warming.
     """
 
     name: str
@@ -23,14 +25,31 @@ class ActuatorProfile:
     source: str
     range_hz: tuple[float, float] | None = None
     peak_m_s2: float | None = None
+    sustained: float | None = None
+    thermal_s: float | None = None
 
+    @property
+    def limits(self) -> Limits:
+        """What may leave for it. Where its maker is silent: full scale as the generic voice coil's, half of it for
+        ever, 10 s to warm; no steeper than a full-scale sine at the top of its range."""
+        full_scale = self.peak_m_s2 or GENERIC_PEAK_M_S2
+        highest = self.range_hz[1] if self.range_hz is not None else 1000.0
+        return Limits(
+            full_scale,
+            slew_per_s=2.0 * np.pi * highest,
+            sustained=self.sustained or 0.5,
+            thermal_s=self.thermal_s or 10.0,
+        )
+
+
+GENERIC_PEAK_M_S2 = 30.0
 
 GENERIC = ActuatorProfile(
     "generic-voice-coil",
     "Generic voice coil",
     "an assumption, no device: 30 m/s² from 20 Hz to 1 kHz, about what small voice coils reach on a fingertip's load",
     range_hz=(20.0, 1000.0),
-    peak_m_s2=30.0,
+    peak_m_s2=GENERIC_PEAK_M_S2,
 )
 
 PROFILES: dict[str, ActuatorProfile] = {

@@ -30,7 +30,8 @@ FLOORS = (
     ("datasets",),
     ("training",),
     ("baselines",),
-    ("export", "actuators"),
+    ("export",),
+    ("actuators",),
     ("evaluation", "bench"),
     ("cli",),
 )

@@ -1,0 +1,18 @@
+"""What happens to a stream between its source and the limiter."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Samples = NDArray[np.float32]
+
+
+class Stage(Protocol):
+    """A causal filter at the device's rate, with memory of its own."""
+
+    def process(self, block: Samples) -> Samples:
+        """(n, channels) m/s² → as many."""
+        ...
