@@ -1,0 +1,182 @@
+"""A resonant transducer: what a skin would get from counts.
+
+A moving coil on a spring, pressed onto a fingertip: m x″ = F − k x − c x′, a current that makes the force F and warms
+the coil. Between samples the current is held, as a converter holds it, and what is linear is then integrated exactly:
+no step is too long.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import UsageError
+from ..limits import COUNTS
+from .recursion import Floats, Recursion
+
+
+@dataclass(frozen=True)
+class Transducer:
+    """mass_kg: all that moves, the skin's share included. stiffness_n_m, damping_n_s_m: of spring and skin.
+    force_n_a: force constant. current_a: at full scale. saturation_n: force that the magnet cannot exceed. stroke_m: to
+    either end stop. resistance_ohm: of the coil. thermal_k_w: kelvins per watt in the end; thermal_s: time constant.
+    """
+
+    mass_kg: float = 0.005
+    stiffness_n_m: float = 700.0
+    damping_n_s_m: float = 1.5
+    force_n_a: float = 0.6
+    current_a: float = 0.25
+    saturation_n: float = 0.6
+    stroke_m: float = 0.001
+    resistance_ohm: float = 8.0
+    thermal_k_w: float = 60.0
+    thermal_s: float = 10.0
+    ambient_c: float = 25.0
+
+    def __post_init__(self) -> None:
+        positive = (
+            self.mass_kg, self.stiffness_n_m, self.force_n_a, self.current_a, self.saturation_n, self.stroke_m,
+            self.resistance_ohm, self.thermal_k_w, self.thermal_s,
+        )  # fmt: skip
+        if not (all(value > 0.0 for value in positive) and self.damping_n_s_m >= 0.0):
+            raise UsageError(f"this transducer cannot exist: {self}.", remedy="Give positive figures.")
+
+    @property
+    def resonance_hz(self) -> float:
+        return math.sqrt(self.stiffness_n_m / self.mass_kg) / (2.0 * math.pi)
+
+    def force(self, drive: Floats) -> Floats:
+        """drive: share of full scale. In newtons: proportional while small, never beyond saturation_n."""
+        wanted = self.force_n_a * self.current_a * drive
+        found: Floats = self.saturation_n * np.tanh(wanted / self.saturation_n)
+        return found
+
+    def power(self, drive: Floats) -> Floats:
+        """Watts that warm the coil."""
+        found: Floats = self.resistance_ohm * np.square(self.current_a * drive)
+        return found
+
+
+PIECE = 1024
+"""Samples that are taken at once as long as no stop is met."""
+
+GENERIC_TRANSDUCER = Transducer()
+"""An assumption, no device: 60 Hz, damping ratio 0.4, 30 m/s² at full scale above resonance (as GENERIC_PEAK_M_S2)."""
+
+
+@dataclass(frozen=True)
+class State:
+    """(C,) each. position: m. velocity: m/s. temperature: °C."""
+
+    position: Floats
+    velocity: Floats
+    temperature: Floats
+
+
+def at_rest(transducer: Transducer, channels: int) -> State:
+    zero = np.zeros(channels)
+    return State(zero, zero, np.full(channels, transducer.ambient_c))
+
+
+@dataclass(frozen=True)
+class Motion:
+    """(n, C) each, at the instant of every sample, its force already acting. position: m, acceleration: m/s²,
+    temperature: °C. end: after the last sample has been held for its time."""
+
+    position: Floats
+    acceleration: Floats
+    temperature: Floats
+    end: State
+
+
+def drive_of(counts: NDArray[np.int16]) -> Floats:
+    """Counts of a wire → share of full scale."""
+    return np.asarray(counts, dtype=np.float64) / COUNTS
+
+
+def move(transducer: Transducer, drive: Floats, rate_hz: float, start: State | None = None) -> Motion:
+    """drive: (n, C), shares of full scale, each held for one sample. start: at_rest() by default."""
+    start = at_rest(transducer, drive.shape[1]) if start is None else start
+    force = transducer.force(drive)
+    mechanics = mechanical(transducer, rate_hz)
+    states = np.empty((len(force) + 1, 2, force.shape[1]))
+    states[0] = start.position, start.velocity
+    for at in range(0, len(force), PIECE):
+        piece = force[at : at + PIECE]
+        moved = mechanics.run(states[at], piece)
+        if np.abs(moved[:, 0]).max() > transducer.stroke_m:
+            moved = _between_stops(mechanics, states[at], piece, transducer.stroke_m)
+        states[at : at + len(moved)] = moved
+    return _motion(transducer, states, force, warm(transducer, drive, rate_hz, start.temperature))
+
+
+def move_plain(transducer: Transducer, drive: Floats, rate_hz: float, start: State | None = None) -> Motion:
+    """The reference of move(): one sample after the other, the stops always watched."""
+    start = at_rest(transducer, drive.shape[1]) if start is None else start
+    force = transducer.force(drive)
+    first = np.stack([start.position, start.velocity])
+    states = _between_stops(mechanical(transducer, rate_hz), first, force, transducer.stroke_m)
+    warmth = (start.temperature - transducer.ambient_c)[None]
+    warmths = thermal(transducer, rate_hz).run_plain(warmth, transducer.power(drive))[:, 0]
+    return _motion(transducer, states, force, warmths + transducer.ambient_c)
+
+
+def warm(transducer: Transducer, drive: Floats, rate_hz: float, start_c: Floats) -> Floats:
+    """drive: (n, C). start_c: (C,). The coil's temperature in °C from start_c on, (n + 1, C)."""
+    warmth = (start_c - transducer.ambient_c)[None]
+    return thermal(transducer, rate_hz).run(warmth, transducer.power(drive))[:, 0] + transducer.ambient_c
+
+
+@lru_cache(maxsize=16)
+def mechanical(transducer: Transducer, rate_hz: float) -> Recursion:
+    """Position and velocity, by force in newtons."""
+    spring, mass = transducer.stiffness_n_m, transducer.mass_kg
+    transition = _held(spring / mass, transducer.damping_n_s_m / mass, 1.0 / rate_hz)
+    # A held force only moves the place of rest, to F / k, around which the free motion goes on.
+    rest = np.array([1.0 / spring, 0.0])
+    return Recursion(transition, rest - transition @ rest)
+
+
+@lru_cache(maxsize=16)
+def thermal(transducer: Transducer, rate_hz: float) -> Recursion:
+    """Kelvins above the ambience, by power in watts."""
+    kept = math.exp(-1.0 / (rate_hz * transducer.thermal_s))
+    return Recursion(np.array([[kept]]), np.array([(1.0 - kept) * transducer.thermal_k_w]))
+
+
+def _held(stiffness: float, damping: float, seconds: float) -> Floats:
+    """exp(A t) of x″ + damping x′ + stiffness x = 0, by its two roots −decay ± root; also where they are one."""
+    decay = damping / 2.0
+    root = cmath.sqrt(decay * decay - stiffness)
+    one, other = cmath.exp((root - decay) * seconds), cmath.exp((-root - decay) * seconds)
+    even = ((one + other) / 2.0).real
+    together = abs(root) * seconds < 1e-6
+    odd = seconds * math.exp(-decay * seconds) if together else ((one - other) / (2.0 * root)).real
+    return np.array([[even + decay * odd, odd], [-stiffness * odd, even - decay * odd]])
+
+
+def _between_stops(mechanics: Recursion, start: Floats, force: Floats, stroke_m: float) -> Floats:
+    """Sample by sample; what would be past a stop rests at it."""
+    states = [start]
+    for value in force:
+        position, velocity = mechanics.transition @ states[-1] + np.outer(mechanics.entry, value)
+        stopped = np.abs(position) > stroke_m
+        states.append(np.stack([np.clip(position, -stroke_m, stroke_m), np.where(stopped, 0.0, velocity)]))
+    return np.asarray(states)
+
+
+def _motion(transducer: Transducer, states: Floats, force: Floats, temperature: Floats) -> Motion:
+    position, velocity = states[:-1, 0], states[:-1, 1]
+    pull = force - transducer.stiffness_n_m * position - transducer.damping_n_s_m * velocity
+    return Motion(
+        position,
+        pull / transducer.mass_kg,
+        temperature[:-1],
+        State(states[-1, 0], states[-1, 1], temperature[-1]),
+    )
