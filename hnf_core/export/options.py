@@ -1,0 +1,59 @@
+"""What a conversion must be told because a flat format has no place, or only 0 … 1, for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..errors import UsageError
+from ..scene.mesh import TriangleMesh
+
+FULL_SCALE_M_S2 = 30.0
+"""Where nobody says: the generic voice coil's largest acceleration (`hnf_core/actuators/profile.py`)."""
+RANGE_HZ = (20.0, 1000.0)
+"""Where nobody says: the generic voice coil's range."""
+ENVELOPE_ERROR = 0.01
+RENDER_RATE_HZ = 10_000.0
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """full_scale_m_s2: acceleration that 1.0, or the largest integer, of a format stands for; what exceeds it is
+    clipped and counted, and nothing is ever normalised. range_hz: what a frequency of 0 and of 1 stand for. error: of
+    envelopes, the largest distance between the control points' lines and the envelope, as a share of its peak.
+    mesh: what the stroke was drawn on, for formats that bind a vibration to vertices; None where it is not known.
+    """
+
+    full_scale_m_s2: float = FULL_SCALE_M_S2
+    range_hz: tuple[float, float] = RANGE_HZ
+    error: float = ENVELOPE_ERROR
+    mesh: TriangleMesh | None = None
+
+    def __post_init__(self) -> None:
+        _check(self.full_scale_m_s2, self.range_hz)
+        if not 0.0 < self.error <= 0.5:
+            raise UsageError(f"an error of {self.error:g} is no share of a peak.", remedy="Give e.g. 0.01.")
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """full_scale_m_s2, range_hz: as in ExportOptions; what the file states itself counts more. None: FULL_SCALE_M_S2 and
+    RANGE_HZ. rate_hz, seed: of what is rendered from envelopes; samples come at their own."""
+
+    full_scale_m_s2: float | None = None
+    range_hz: tuple[float, float] | None = None
+    rate_hz: float = RENDER_RATE_HZ
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        _check(self.full_scale_m_s2 or FULL_SCALE_M_S2, self.range_hz or RANGE_HZ)
+        if self.full_scale_m_s2 is not None and not self.full_scale_m_s2 > 0.0:
+            raise UsageError("a full scale of 0 m/s² moves nothing.", remedy="Give e.g. 30.")
+        if not (1.0 <= self.rate_hz <= 1e6 and self.rate_hz == round(self.rate_hz)):
+            raise UsageError(f"{self.rate_hz:g} Hz: a WAV needs a whole number of Hz.", remedy="Give e.g. 10000.")
+
+
+def _check(full_scale_m_s2: float, range_hz: tuple[float, float]) -> None:
+    if not 0.0 < full_scale_m_s2 < 1e6:
+        raise UsageError(f"a full scale of {full_scale_m_s2:g} m/s² fits no device.", remedy="Give e.g. 30.")
+    if not 0.0 < range_hz[0] < range_hz[1] <= 1e5:
+        raise UsageError(f"{range_hz[0]:g} to {range_hz[1]:g} Hz is no range.", remedy="Give e.g. 20 and 1000.")
