@@ -1,0 +1,325 @@
+"""What host and device tell each other: protocol version 1, as docs/serial-protocol.md has it.
+
+Every message is a frozen dataclass with TYPE (the byte on the wire), SIZES (shortest and longest payload), pack() and
+unpack(). Numbers are little-endian and unsigned unless said otherwise.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import astuple, dataclass
+from enum import IntEnum
+from typing import ClassVar, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import UsageError
+
+VERSION = 1
+LARGEST_PAYLOAD = 2048
+LARGEST_NAME = 64
+LARGEST_TEXT = 120
+NO_TEMPERATURE = -32768
+"""Of a device that does not measure it."""
+NO_SLEW_LIMIT = 65535
+"""Larger than any step between two counts."""
+
+
+class State(IntEnum):
+    """Of the device. WAITING: started, silent for want of samples. STOPPING: on its way to silence. FAULT: silent until
+    a new HELLO, because of what its last ERROR said."""
+
+    IDLE = 0
+    READY = 1
+    WAITING = 2
+    PLAYING = 3
+    STOPPING = 4
+    FAULT = 5
+
+
+class Code(IntEnum):
+    """Of an ERROR."""
+
+    VERSION = 1
+    BUSY = 2
+    RATE = 3
+    CHANNELS = 4
+    LIMITS = 5
+    STATE = 6
+    SESSION = 7
+    OVERRUN = 8
+    MALFORMED = 9
+    HOT = 10
+    HARDWARE = 11
+
+
+class _Fixed:
+    """A message of numbers only."""
+
+    LAYOUT: ClassVar[struct.Struct]
+
+    def pack(self) -> bytes:
+        return self.LAYOUT.pack(*astuple(self))  # type: ignore[call-overload]
+
+
+@dataclass(frozen=True)
+class Hello(_Fixed):
+    """Host: I speak versions lowest … highest."""
+
+    lowest: int = VERSION
+    highest: int = VERSION
+
+    TYPE: ClassVar[int] = 0x01
+    SIZES: ClassVar[tuple[int, int]] = (2, 2)
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BB")
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Hello:
+        return cls(*cls.LAYOUT.unpack(payload))
+
+
+@dataclass(frozen=True)
+class Start(_Fixed):
+    """Host: a stream begins, its first frame has position 0.
+
+    rate_hz, channels. flags: 0. peak: largest magnitude of a count that may be played. slew: largest step in counts
+    from frame to frame. queue: most frames that the device shall owe, 0 = its own choice. session: drawn by the host,
+    told apart from that of any other.
+    """
+
+    rate_hz: int
+    channels: int
+    peak: int
+    session: int
+    slew: int = NO_SLEW_LIMIT
+    queue: int = 0
+    flags: int = 0
+
+    TYPE: ClassVar[int] = 0x02
+    SIZES: ClassVar[tuple[int, int]] = (14, 14)
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<IBBHHHH")
+
+    def pack(self) -> bytes:
+        return self.LAYOUT.pack(self.rate_hz, self.channels, self.flags, self.peak, self.slew, self.queue, self.session)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Start:
+        rate_hz, channels, flags, peak, slew, queue, session = cls.LAYOUT.unpack(payload)
+        return cls(rate_hz, channels, peak, session, slew, queue, flags)
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Host: frames of the stream from position on (frames since START, modulo 2³²). data: int16, little-endian,
+    interleaved, whole frames. No frames at all say where the host is."""
+
+    session: int
+    position: int
+    data: bytes
+
+    TYPE: ClassVar[int] = 0x03
+    SIZES: ClassVar[tuple[int, int]] = (6, LARGEST_PAYLOAD)
+    HEAD: ClassVar[struct.Struct] = struct.Struct("<HI")
+
+    @classmethod
+    def of(cls, session: int, position: int, counts: NDArray[np.int16]) -> Samples:
+        """counts: (n, channels), at most frames_per_message(channels) of them."""
+        return cls(session, position, np.ascontiguousarray(counts, dtype="<i2").tobytes())
+
+    def counts(self, channels: int) -> NDArray[np.int16]:
+        """(n, channels). Raises ValueError where data is not whole frames."""
+        return np.frombuffer(self.data, "<i2").astype(np.int16).reshape(-1, channels)
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(self.session, self.position) + self.data
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Samples:
+        if len(payload) % 2:
+            raise ValueError("half a sample")
+        session, position = cls.HEAD.unpack_from(payload)
+        return cls(session, position, payload[cls.HEAD.size :])
+
+
+@dataclass(frozen=True)
+class Stop(_Fixed):
+    """Host: silence. drain: after what is queued; otherwise now, and what is queued is dropped."""
+
+    drain: bool = False
+
+    TYPE: ClassVar[int] = 0x04
+    SIZES: ClassVar[tuple[int, int]] = (1, 1)
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<B")
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Stop:
+        if payload not in (b"\0", b"\1"):
+            raise ValueError("no such way to stop")
+        return cls(payload == b"\1")
+
+
+@dataclass(frozen=True)
+class Ping(_Fixed):
+    """Host: are you there? Answered by PONG and STATUS."""
+
+    token: int
+
+    TYPE: ClassVar[int] = 0x05
+    SIZES: ClassVar[tuple[int, int]] = (2, 2)
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<H")
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Ping:
+        return cls(*cls.LAYOUT.unpack(payload))
+
+
+@dataclass(frozen=True)
+class Bye(_Fixed):
+    """Host: I am gone. Silence as after STOP, then IDLE."""
+
+    TYPE: ClassVar[int] = 0x06
+    SIZES: ClassVar[tuple[int, int]] = (0, 0)
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<")
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Bye:
+        return cls()
+
+
+@dataclass(frozen=True)
+class Caps:
+    """Device, to HELLO: version that is spoken from now on, and what I can do.
+
+    channels: most. bits: that reach the transducer. lowest_hz, highest_hz: rates. queue: most frames it ever owes.
+    peak: largest magnitude of a count it accepts. payload: longest it takes. name: for people.
+    """
+
+    version: int
+    channels: int
+    bits: int
+    lowest_hz: int
+    highest_hz: int
+    queue: int
+    peak: int
+    payload: int
+    name: str
+
+    TYPE: ClassVar[int] = 0x81
+    SIZES: ClassVar[tuple[int, int]] = (17, 17 + LARGEST_NAME)
+    HEAD: ClassVar[struct.Struct] = struct.Struct("<BBBIIHHH")
+
+    def pack(self) -> bytes:
+        return self.HEAD.pack(*astuple(self)[:-1]) + _encoded(self.name, LARGEST_NAME)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Caps:
+        version, channels, bits, lowest, highest, queue, peak, longest = cls.HEAD.unpack_from(payload)
+        name = payload[cls.HEAD.size :].decode("utf-8", "replace")
+        return cls(version, channels, bits, lowest, highest, queue, peak, longest, name)
+
+
+@dataclass(frozen=True)
+class Credit(_Fixed):
+    """Device, at least every 2 ms while a stream lasts.
+
+    session: whose. played: frames of the stream that have left the queue, modulo 2³². queue: most that it owes.
+    free: of them, empty now. state.
+    """
+
+    session: int
+    played: int
+    queue: int
+    free: int
+    state: State
+
+    TYPE: ClassVar[int] = 0x82
+    SIZES: ClassVar[tuple[int, int]] = (11, 11)
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<HIHHB")
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Credit:
+        session, played, queue, free, state = cls.LAYOUT.unpack(payload)
+        return cls(session, played, queue, free, State(state))
+
+    def room(self, sent: int) -> int:
+        """Frames that may be sent now by a host that has sent `sent` frames (any integer; modulo 2³²); below 0 where it
+        has sent more than it may."""
+        outstanding = (sent - self.played) & 0xFFFFFFFF
+        return self.queue - (outstanding if outstanding < 0x80000000 else outstanding - 0x100000000)
+
+
+@dataclass(frozen=True)
+class Status(_Fixed):
+    """Device, since HELLO. underruns: times that samples were missing while it played. crc_errors: damaged frames of
+    the wire. lost: frames of the stream that never came. limited: samples that its own limits changed.
+    temperature: 0.1 °C, signed, or NO_TEMPERATURE. state."""
+
+    underruns: int
+    crc_errors: int
+    lost: int
+    limited: int
+    temperature: int
+    state: State
+
+    TYPE: ClassVar[int] = 0x83
+    SIZES: ClassVar[tuple[int, int]] = (19, 19)
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<IIIIhB")
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Status:
+        underruns, crc_errors, lost, limited, temperature, state = cls.LAYOUT.unpack(payload)
+        return cls(underruns, crc_errors, lost, limited, temperature, State(state))
+
+
+@dataclass(frozen=True)
+class Pong(_Fixed):
+    """Device: yes. token: of the PING."""
+
+    token: int
+
+    TYPE: ClassVar[int] = 0x84
+    SIZES: ClassVar[tuple[int, int]] = (2, 2)
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<H")
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Pong:
+        return cls(*cls.LAYOUT.unpack(payload))
+
+
+@dataclass(frozen=True)
+class Error:
+    """Device: I did not do that, or cannot go on. code: a Code, or one of a later version. text: for people."""
+
+    code: int
+    text: str
+
+    TYPE: ClassVar[int] = 0x85
+    SIZES: ClassVar[tuple[int, int]] = (1, 1 + LARGEST_TEXT)
+
+    def pack(self) -> bytes:
+        return struct.pack("<B", self.code) + _encoded(self.text, LARGEST_TEXT)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Error:
+        return cls(payload[0], payload[1:].decode("utf-8", "replace"))
+
+
+FromHost: TypeAlias = Hello | Start | Samples | Stop | Ping | Bye
+FromDevice: TypeAlias = Caps | Credit | Status | Pong | Error
+Message: TypeAlias = FromHost | FromDevice
+
+FROM_HOST: dict[int, type[Message]] = {kind.TYPE: kind for kind in (Hello, Start, Samples, Stop, Ping, Bye)}
+FROM_DEVICE: dict[int, type[Message]] = {kind.TYPE: kind for kind in (Caps, Credit, Status, Pong, Error)}
+
+
+def frames_per_message(channels: int, payload: int = LARGEST_PAYLOAD) -> int:
+    """Most frames that one SAMPLES carries within payload bytes."""
+    return (payload - Samples.HEAD.size) // (2 * channels)
+
+
+def _encoded(text: str, largest: int) -> bytes:
+    data = text.encode("utf-8", "replace")
+    if len(data) > largest:
+        raise UsageError(f"'{text}' is {len(data)} bytes long.", remedy=f"Say it in {largest}.")
+    return data
