@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..errors import UsageError
-from ..scene.mesh import TriangleMesh
+from .surface import TouchedSurface
 
 FULL_SCALE_M_S2 = 30.0
 """Where nobody says: the generic voice coil's largest acceleration (`hnf_core/actuators/profile.py`)."""
@@ -20,13 +20,13 @@ class ExportOptions:
     """full_scale_m_s2: acceleration that 1.0, or the largest integer, of a format stands for; what exceeds it is
     clipped and counted, and nothing is ever normalised. range_hz: what a frequency of 0 and of 1 stand for. error: of
     envelopes, the largest distance between the control points' lines and the envelope, as a share of its peak.
-    mesh: what the stroke was drawn on, for formats that bind a vibration to vertices; None where it is not known.
+    surface: what the stroke was drawn on, for formats that bind touch to geometry; None where it is not known.
     """
 
     full_scale_m_s2: float = FULL_SCALE_M_S2
     range_hz: tuple[float, float] = RANGE_HZ
     error: float = ENVELOPE_ERROR
-    mesh: TriangleMesh | None = None
+    surface: TouchedSurface | None = None
 
     def __post_init__(self) -> None:
         _check(self.full_scale_m_s2, self.range_hz)
@@ -36,8 +36,8 @@ class ExportOptions:
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """full_scale_m_s2, range_hz: as in ExportOptions; what the file states itself counts more. None: FULL_SCALE_M_S2 and
-    RANGE_HZ. rate_hz, seed: of what is rendered from envelopes; samples come at their own."""
+    """full_scale_m_s2, range_hz: as in ExportOptions; what the file states itself counts more. None: FULL_SCALE_M_S2
+    and RANGE_HZ. rate_hz, seed: of what is rendered from envelopes; samples come at their own."""
 
     full_scale_m_s2: float | None = None
     range_hz: tuple[float, float] | None = None

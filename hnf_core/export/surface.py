@@ -1,0 +1,70 @@
+"""A baked surface and a stroke on it, on the way to formats that bind touch to geometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import SceneError
+from ..material.palette import Palette
+from ..scene.mesh import TriangleMesh
+
+Float = NDArray[np.float64]
+UNTOUCHED = -1
+
+
+@dataclass(frozen=True)
+class StrokePath:
+    """Where the hand went. time: (n,) s, increasing, from 0. distance: (n,) m travelled over the surface, never less,
+    from 0. triangle: (n,) int32 of the mesh, UNTOUCHED where the hand is off the surface or does not press."""
+
+    time: Float
+    distance: Float
+    triangle: NDArray[np.int32]
+
+    @property
+    def length_m(self) -> float:
+        return float(self.distance[-1]) if len(self.distance) else 0.0
+
+    @property
+    def mean_speed_m_s(self) -> float:
+        """Over the time that the hand moves, m/s; 0 where it never does."""
+        moving = np.diff(self.distance) > 0.0
+        seconds = float(np.diff(self.time)[moving].sum())
+        return self.length_m / seconds if seconds > 0.0 else 0.0
+
+
+@dataclass(frozen=True)
+class TouchedSurface:
+    """An object with what was baked onto it.
+
+    name: of the object. mesh: in the surface frame, z up as in Blender. materials: names by slot. token: (T,) int32,
+    index into palette of each triangle, UNTOUCHED where nothing was baked. roughness: (T,) float32, RMS height in m.
+    confidence: (T,) float32, 0–1. palette: None where nothing was baked. placement: (4, 4) world metres ← surface
+    frame. path: of the stroke that is exported, None where it is not known. Raises SceneError where parts do not fit.
+    """
+
+    name: str
+    mesh: TriangleMesh
+    materials: tuple[str, ...]
+    token: NDArray[np.int32]
+    roughness: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    palette: Palette | None
+    placement: Float = field(default_factory=lambda: np.eye(4))
+    path: StrokePath | None = None
+
+    def __post_init__(self) -> None:
+        count, entries = len(self.mesh.triangles), 0 if self.palette is None else len(self.palette)
+        where = f"object '{self.name}'"
+        if count == 0:
+            raise SceneError("it has no faces.", where=where, remedy="Choose an object with faces.")
+        if not len(self.token) == len(self.roughness) == len(self.confidence) == count:
+            raise SceneError(f"it has {count} triangles, its bake has {len(self.token)}.", where=where, remedy=_AGAIN)
+        if self.token.min() < UNTOUCHED or self.token.max() >= entries:
+            raise SceneError(f"its faces speak of materials beyond the {entries} baked.", where=where, remedy=_AGAIN)
+
+
+_AGAIN = "Bake the object again."
