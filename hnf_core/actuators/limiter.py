@@ -1,0 +1,191 @@
+"""The last stage before the wire: whatever comes in, no device gets more than its limits.
+
+Four bounds, each kept for every input and every cut of it into blocks:
+
+* peak: no count beyond peak_counts.
+* slew: no two frames in a row differ by more than step counts, across blocks, soft starts and soft stops too.
+* warming: the coil's mean square through one pole never exceeds sustained². From KNEE of it on the gain falls, in a
+  straight line over each grid of frames, so nothing zips. Behind the gain a cap holds for what no gain foresees: the
+  largest level that, were it kept for a grid of frames and then brought to 0 as slowly as the slew asks, stays within
+  the bound. Level 0 always does, since the way down was paid for before; so cap and slew never contradict.
+* no number that is not finite: it is 0, and counted.
+
+Whatever is summed is whole counts, and everything else is done value by value on a grid that starts with the first
+frame: equal bytes however the input is cut. limiter_reference.py is the same law, one value at a time.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import UsageError
+from .law import KNEE, Law, law_of
+from .limits import COUNTS, Limits
+from .sink import Counts
+
+Whole = NDArray[np.int64]
+Real = NDArray[np.float64]
+
+
+class Limiter:
+    """m/s² → counts. limited: samples that left other than they came, rounding and ramps aside. nonfinite: samples
+    that were no number. heat: (channels,) or one for all, 0–1, how warm the coils are at the start."""
+
+    def __init__(self, limits: Limits, rate_hz: float, channels: int, *, heat: ArrayLike = 0.0) -> None:
+        """Raises UsageError where limits leave nothing at rate_hz, or there is no channel."""
+        if channels < 1:
+            raise UsageError(f"a device has one channel or more, not {channels}.")
+        self.limited = 0
+        self.nonfinite = 0
+        self._law = law_of(limits, rate_hz)
+        self._channels = channels
+        self._last = np.zeros(channels, dtype=np.int64)
+        self._playing = True
+        self._risen = 0
+        self._held = np.zeros(channels)
+        self._falling = 0
+        self._at = 0
+        self._energy = np.zeros(channels, dtype=np.int64)
+        warm = np.clip(np.broadcast_to(np.asarray(heat, dtype=np.float64), (channels,)), 0.0, 1.0)
+        self._square = warm * self._law.bound if np.isfinite(self._law.bound) else np.zeros(channels)
+        self._gain = self._earlier_gain = gains(self._law, self._square)
+        self._cap = caps(self._law, self._square, self._last)
+
+    @property
+    def heat(self) -> Real:
+        """(channels,) of what the coils may warm to, 0–1; as of the last whole grid of frames."""
+        return self._square / self._law.bound
+
+    @property
+    def resting(self) -> bool:
+        """Stopped, and nothing left to fade."""
+        return not self._playing and self._falling == 0 and not self._last.any()
+
+    def process(self, block: ArrayLike) -> Counts:
+        """(n, channels) m/s² → (n, channels) counts. The first block, and the first after a soft stop, start softly.
+        Raises UsageError for another shape."""
+        given = np.asarray(block, dtype=np.float64)
+        if given.ndim != 2 or given.shape[1] != self._channels:
+            raise UsageError(f"a block is (frames, {self._channels}), this one is {given.shape}.")
+        if len(given) == 0:
+            return np.zeros((0, self._channels), dtype=np.int16)
+        self._playing = True
+        finite = np.isfinite(given)
+        if not finite.all():
+            self.nonfinite += int(given.size - np.count_nonzero(finite))
+            given = np.where(finite, given, 0.0)
+        with np.errstate(over="ignore"):
+            level = np.asarray(np.clip(given / self._law.full_scale_m_s2, -2.0, 2.0) * COUNTS, dtype=np.float64)
+        return self._limited(level)
+
+    def soft_stop(self, frames: int) -> Counts:
+        """(frames, channels) counts in a block's place: what left last, faded to exactly 0 within the ramp (or as soon
+        as the slew allows), and 0 from there on. May be called again and again, as for a pause."""
+        if self._playing and frames > 0:
+            self._playing = False
+            self._risen = 0
+            self._held = self._last.astype(np.float64)
+            self._falling = len(self._law.ramp) - 1
+        return self._limited(np.zeros((frames, self._channels)))
+
+    def release(self) -> Counts:
+        """All of a soft stop, ending with one frame of 0; nothing where it rests already."""
+        if self.resting or not (self._last.any() or self._falling):
+            return np.zeros((0, self._channels), dtype=np.int16)
+        counts = self.soft_stop(len(self._law.ramp) + self._law.peak // self._law.step + 1)
+        sounding = np.flatnonzero(counts.any(axis=1))
+        return counts[: (int(sounding[-1]) if len(sounding) else 0) + 2]
+
+    def _limited(self, level: Real) -> Counts:
+        """level: counts wanted, not yet whole, (n, channels)."""
+        tail = self._ramped(level)
+        grid = self._law.grid if np.isfinite(self._law.bound) else max(len(level), 1)
+        counts = np.empty(level.shape, dtype=np.int16)
+        start = 0
+        while start < len(level):
+            end = min(start + grid - self._at, len(level))
+            counts[start:end] = self._piece(level[start:end], tail if tail is None else tail[start:end])
+            start = end
+        return counts
+
+    def _ramped(self, level: Real) -> Real | None:
+        """Fades level in, in place. Returns what fades out beneath it, if anything."""
+        ramp, steps = self._law.ramp, np.arange(1, len(level) + 1)
+        if self._playing and self._risen < len(ramp) - 1:
+            level *= ramp[np.minimum(self._risen + steps, len(ramp) - 1), None]
+            self._risen = min(self._risen + len(level), len(ramp) - 1)
+        if self._falling == 0:
+            return None
+        tail = self._held * ramp[np.maximum(self._falling - steps, 0), None]
+        self._falling = max(self._falling - len(level), 0)
+        return np.asarray(tail)
+
+    def _piece(self, level: Real, tail: Real | None) -> Whole:
+        """Within one grid of frames."""
+        law = self._law
+        wanted = np.rint(level if tail is None else level + tail)
+        if np.isfinite(law.bound):
+            share = np.arange(self._at + 1, self._at + len(level) + 1)[:, None] / law.grid
+            level = level * (self._earlier_gain + (self._gain - self._earlier_gain) * share)
+        level = level if tail is None else level + tail
+        whole = slewed(np.rint(np.clip(level, -self._cap, self._cap)).astype(np.int64), self._last, law.step)
+        self.limited += int(np.count_nonzero(whole != wanted))
+        self._last = whole[-1].copy()
+        if np.isfinite(law.bound):
+            self._energy += np.square(whole).sum(axis=0)
+            self._at += len(whole)
+            if self._at == law.grid:
+                self._warm()
+        return whole
+
+    def _warm(self) -> None:
+        law = self._law
+        # Each frame counts in full, though the earlier ones have faded a little: never too little.
+        self._square = law.decay * self._square + law.weight * self._energy
+        self._energy[:] = 0
+        self._at = 0
+        self._earlier_gain, self._gain = self._gain, gains(law, self._square)
+        self._cap = caps(law, self._square, self._last)
+
+
+def gains(law: Law, square: Real) -> Real:
+    """(channels,) 0–1: 1 up to KNEE of the bound, from there in a straight line to 0 at the bound."""
+    return np.asarray(np.clip((1.0 - square / law.bound) / (1.0 - KNEE), 0.0, 1.0))
+
+
+def caps(law: Law, square: Real, last: Whole) -> Whole:
+    """(channels,) counts: the largest level that keeps the mean square within the bound for a grid of frames and for
+    the way down to 0 after it. square: now. last: counts that left last."""
+    highest = np.full(len(square), law.peak, dtype=np.int64)
+    if not np.isfinite(law.bound):
+        return highest
+    room = (law.bound - law.decay * square) / law.weight
+    owed = way_down(law, np.abs(last))
+    if (np.maximum(way_down(law, highest), owed) + law.grid * np.square(highest.astype(np.float64)) <= room).all():
+        return highest
+    lowest = np.zeros_like(highest)
+    while (lowest < highest).any():
+        middle = (lowest + highest + 1) // 2
+        fits = np.maximum(way_down(law, middle), owed) + law.grid * np.square(middle.astype(np.float64)) <= room
+        lowest, highest = np.where(fits, middle, lowest), np.where(fits, highest, middle - 1)
+    return lowest
+
+
+def way_down(law: Law, level: Whole) -> Real:
+    """Counts² summed over the frames from level to 0 at the steepest slew: Σ (level − k·step)² ≤ level³ / 3 step."""
+    real = level.astype(np.float64)
+    return np.asarray(real * real * real / (3.0 * law.step))
+
+
+def slewed(target: Whole, last: Whole, step: int) -> Whole:
+    """target (n, channels), followed by at most step counts a frame from last (channels,)."""
+    change = np.diff(target, axis=0, prepend=last[None])
+    steep = (np.abs(change) > step).any(axis=0)
+    for channel in np.flatnonzero(steep):
+        at, followed = int(last[channel]), []
+        for aim in target[:, channel].tolist():
+            at = min(max(aim, at - step), at + step)
+            followed.append(at)
+        target[:, channel] = followed
+    return target
