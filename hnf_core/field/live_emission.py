@@ -1,0 +1,143 @@
+"""F_Θ of one state, within a fraction of its 5 ms. field.evaluate is the reference; they differ by float32 rounding.
+
+What a state does not change (token, mechanics, probe) is worked out once per material.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import UsageError
+from ..material.mechanics import PROBES, Mechanics
+from .features import (
+    DIRECTION_AT,
+    MECHANICS_AT,
+    PROBE_AT,
+    PROBE_NAMES,
+    QUIET_M_S2,
+    TIME_SHARE_DB,
+    encode_action,
+    mechanics_columns,
+    normalised_tokens,
+    seen_from,
+)
+from .field import LOG_AMPLITUDE_CEILING, Field
+from .linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, arc_gain
+from .lines import GAINS, HARMONICS, LINES, QUIET_LINE_M_S2, SHIFTS, START_LOG
+from .live_linear import LinearState, LiveLinear, TimeShare
+
+Float = NDArray[np.float64]
+Single = NDArray[np.float32]
+
+_START, _SHIFT = np.asarray(START_LOG)[:, None, None], np.asarray(SHIFTS)[:, None, None]
+
+
+class LiveEmission:
+    """F_Θ for one material.
+
+    Raises UsageError for a field whose linear contact has no arc carriers to stand on: no such one is made.
+    """
+
+    def __init__(self, field: Field, token: Float, mechanics: Mechanics, probe: str) -> None:
+        config, carriers = field.config, field.config.carriers
+        if config.physics and not carriers.arc_count:
+            raise UsageError("this field has no arc-length carriers to be felt live with.", remedy="Use another field.")
+        self._config, self._carriers, self._kappa = config, carriers, carriers.arc_centres()
+        weights = field.parameters
+        self._layers = [(weights[f"layer{index}.weight"], weights[f"layer{index}.bias"]) for index in range(config.layers)]
+        self._alpha, self._sigma = ((weights[f"{head}.weight"], weights[f"{head}.bias"]) for head in ("alpha", "sigma"))
+        self._expansion = config.expansion()
+        self._token = np.array(token, dtype=np.float64)[None]
+        self._x = np.zeros(self._layers[0][0].shape[1], dtype=np.float32)
+        self._x[:MECHANICS_AT] = normalised_tokens(self._token)[0]
+        self._x[MECHANICS_AT:PROBE_AT] = mechanics_columns(mechanics)
+        self._x[PROBE_AT:DIRECTION_AT] = [name == probe for name in PROBE_NAMES]
+        self._linear: LiveLinear | None = None
+        if config.physics:
+            self._linear = LiveLinear(self._token[0], mechanics, PROBES[probe], carriers)
+            self._time, self._skip = TimeShare(carriers), weights["skip"].astype(np.float64)
+        self._mass = PROBES[probe].mass_kg
+
+    def at(self, direction: Float, speed: float, force: float, contact: bool) -> tuple[Float, Float]:
+        """α (K,), 0 at rest and out of contact, and σΔt (N,). direction: (2,); speed: m/s; force: N."""
+        carriers, angle = self._carriers, float(np.arctan2(direction[1], direction[0]))
+        pace, load = max(speed, SPEED_FLOOR_M_S), max(force, FORCE_FLOOR_N)
+        moving = min(speed / SPEED_FLOOR_M_S, 1.0) * min(max(force, 0.0) / FORCE_FLOOR_N, 1.0) if contact else 0.0
+        linear = None if self._linear is None else self._linear.at(angle, pace, load)
+        time_power = None if linear is None else self._time.of(linear.power, pace)
+        hidden = self._input(direction, pace, load, linear, time_power)
+        for weight, bias in self._layers:
+            hidden = np.maximum(weight @ hidden + bias, 0.0)
+        sigma = np.logaddexp(0.0, (self._sigma[0] @ hidden + self._sigma[1]).astype(np.float64))
+        if moving == 0.0:
+            return np.zeros(carriers.count), sigma
+        alpha = self._emitted((self._alpha[0] @ hidden + self._alpha[1]).astype(np.float64), linear, time_power)
+        alpha *= moving
+        if carriers.arc_count:
+            gain = arc_gain(self._kappa, np.array([pace]))[0] if linear is None else linear.gain
+            alpha[carriers.arc_slice] *= gain
+        return alpha, sigma
+
+    def _input(
+        self, direction: Float, pace: float, load: float, linear: LinearState | None, time_power: Float | None
+    ) -> Single:
+        config, x = self._config, self._x
+        if config.stroke_frame:
+            x[:MECHANICS_AT] = normalised_tokens(seen_from(self._token, direction[None]))[0]
+        elif config.directed:
+            x[DIRECTION_AT : DIRECTION_AT + 2] = direction
+        at = DIRECTION_AT + 4
+        x[at - 2 : at] = math.log(pace / 0.1), math.log(load)
+        if config.action_octaves:
+            encoded = encode_action(
+                direction[None], np.array([pace]), np.array([load]), config.action_octaves, config.directed
+            )
+            x[at : at + encoded.shape[1]] = encoded[0]
+            at += encoded.shape[1]
+        if linear is not None and time_power is not None:
+            count = len(time_power)
+            x[at : at + count] = (_log_amplitude(time_power) + 5.0) / 3.0
+            bounce = self._mass * math.sqrt(linear.normal) / load
+            x[at + count :] = (
+                0.25 * math.log(float(linear.power.sum()) + QUIET_M_S2**2),
+                0.5 * math.log(bounce + 1e-3),
+                math.log(linear.resonance / 150.0),
+            )
+        return x
+
+    def _emitted(self, head: Float, linear: LinearState | None, time_power: Float | None) -> Float:
+        """(K,) amplitudes before the gate."""
+        config, carriers = self._config, self._carriers
+        gains = head[-GAINS:] if config.line_gains else None
+        alpha = head[:-GAINS] if config.line_gains else head
+        if self._expansion is not None:
+            first = carriers.arc_slice.start
+            alpha = np.concatenate([alpha[:first], self._expansion @ alpha[first:]])
+        if linear is not None and time_power is not None:
+            prior = np.zeros(carriers.count)
+            prior[carriers.time_slice] = _log_amplitude(time_power * 10.0 ** (TIME_SHARE_DB / 10.0))
+            prior[carriers.arc_slice] = _log_amplitude(linear.noise if gains is not None else linear.power)
+            alpha = alpha + self._skip * prior
+        if config.emission == "log":
+            alpha = np.exp(np.minimum(alpha, LOG_AMPLITUDE_CEILING))
+        if gains is not None and linear is not None:
+            arc = alpha[carriers.arc_slice]
+            alpha[carriers.arc_slice] = np.sqrt(np.square(arc) + _ringing(gains, linear, len(arc)))
+        return np.asarray(alpha)
+
+
+def _ringing(gains: Float, linear: LinearState, count: int) -> Float:
+    """lines.line_power of one state: (count,)."""
+    level = 0.5 * np.log(linear.lines + QUIET_LINE_M_S2**2)
+    gain = gains.reshape(len(HARMONICS), 1, LINES) + _START
+    power = np.exp(2.0 * np.minimum(gain + level, LOG_AMPLITUDE_CEILING))
+    place = linear.low + np.arange(2)[:, None] + _SHIFT
+    inside = (place >= 0) & (place < count)
+    return np.bincount(place[inside], power[inside], count)
+
+
+def _log_amplitude(power: Float) -> Float:
+    return np.asarray(0.5 * np.log(power + QUIET_M_S2**2))

@@ -1,0 +1,99 @@
+"""The linear contact of one state, quickly. linear_contact is the reference, term by term."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..material.contact import surface_stiffness_at_1n, with_defaults
+from ..material.mechanics import Mechanics, Probe
+from .carriers import ARC_PER_OCTAVE, Carriers
+from .linear_contact import FLANK_FRICTION, HAND_DAMPING_RATIO, HAND_STIFFNESS_N_M, arc_gain
+from .live_texture import LiveTexture
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LinearState:
+    """As LinearContact, of one state: power, noise (Ka,); normal, resonance: numbers; lines: (2, lines) and low
+    (lines,). gain: (Ka,) arc_gain at its speed."""
+
+    power: Float
+    noise: Float
+    normal: float
+    resonance: float
+    lines: Float
+    low: NDArray[np.intp]
+    gain: Float
+
+
+class LiveLinear:
+    """The linear contact of one material under one probe."""
+
+    def __init__(self, token: Float, mechanics: Mechanics, probe: Probe, carriers: Carriers) -> None:
+        self._texture = LiveTexture(token, carriers)
+        self._kappa = carriers.arc_centres()
+        self._wave = np.square(2.0 * np.pi * self._kappa)
+        self._known, self._probe = with_defaults(mechanics), probe
+        self._surface = surface_stiffness_at_1n(mechanics, probe)
+
+    def at(self, angle: float, speed: float, force: float) -> LinearState:
+        """angle: radians; speed, force: m/s and N, not below their floors."""
+        probe, wave = self._probe, self._wave
+        surface = self._surface * force ** (1.0 / 3.0)
+        stiffness = surface * probe.stiffness_n_m / (surface + probe.stiffness_n_m)
+        tip = probe.tip_radius_m
+        radius = min(math.sqrt(1.5 * force * tip / (stiffness if probe.soft_tip else surface)), tip)
+        # The squares of tip_response at κ and at half of it, by which the bearing spots are smaller.
+        reach = wave * radius**2
+        passed, leaned = np.exp(-reach / 5.0), np.exp(-reach / 20.0)
+        gain = arc_gain(self._kappa, np.array([speed]))[0]
+        up, aside = self._responses(speed, force, stiffness)
+        fade = np.square(gain)
+        up, aside = up * fade, aside * fade
+        cut = self._texture.cut(angle, np.stack([passed, leaned * wave, leaned]))
+        rubbed = 1.0 + self._known.friction**2
+        flank = (1.0 + FLANK_FRICTION * (1.0 - radius / tip) ** 2) ** 2 - 1.0
+        met = cut.noise[0] * up
+        noise = met * rubbed + (cut.noise[1] + flank * wave * cut.noise[2]) * aside
+        count = len(wave)
+        where = cut.low + np.arange(2)[:, None]
+        at = np.clip(where, 0, count - 1)
+        tone = cut.lines[0] * up[at]
+        lines = tone * rubbed + (cut.lines[1] + flank * wave[at] * cut.lines[2]) * aside[at]
+        inside = where == at
+        power = noise + np.bincount(at.ravel(), (lines * inside).ravel(), count)
+        normal = float(met.sum() + (tone * inside).sum())
+        resonance = math.sqrt(stiffness / probe.mass_kg) / (2.0 * math.pi)
+        return LinearState(power, noise, normal, resonance, lines, cut.low, gain)
+
+    def _responses(self, speed: float, force: float, stiffness: float) -> tuple[Float, Float]:
+        """Power gains (Ka,) of height to normal acceleration, and of slope to lateral acceleration."""
+        mass = self._probe.mass_kg
+        squared = self._wave * speed**2
+        damping = 4.0 * self._known.damping_ratio**2 * stiffness * mass * squared
+        fourth = np.square(squared)
+        up = fourth * (stiffness**2 + damping) / (np.square(stiffness - mass * squared) + damping)
+        hand = HAND_STIFFNESS_N_M / mass
+        lateral = fourth / (np.square(hand - squared) + 4.0 * HAND_DAMPING_RATIO**2 * hand * squared)
+        return np.asarray(up), np.asarray(lateral * (force / mass) ** 2)
+
+
+class TimeShare:
+    """time_band_power for one state."""
+
+    def __init__(self, carriers: Carriers) -> None:
+        self._edges = ARC_PER_OCTAVE * np.log2(carriers.time_edges() / carriers.arc_start_per_m)
+        self._sum = np.zeros(carriers.arc_count + 1)
+
+    def of(self, power: Float, speed: float) -> Float:
+        """(Ka,) power per arc band at a speed not below its floor → (Kt,) per time band."""
+        np.cumsum(power, out=self._sum[1:])
+        place = np.clip(self._edges - ARC_PER_OCTAVE * math.log2(speed), 0.0, len(power))
+        low = np.minimum(place.astype(int), len(power) - 1)
+        start = self._sum[low]
+        return np.asarray(np.diff(start + (place - low) * (self._sum[low + 1] - start)))
