@@ -15,6 +15,8 @@ SYNC = b"\xa5\x5a"
 HEAD = struct.Struct("<BBH")
 OVERHEAD = len(SYNC) + HEAD.size + 2
 """Bytes of a frame that are not payload."""
+IDLE_S = 0.020
+"""Without a byte, and a frame that was begun is given up."""
 
 
 def encode(message: Message, sequence: int) -> bytes:
@@ -92,6 +94,15 @@ class Decoder:
             self.skipped += len(SYNC)
             at += len(SYNC)
         self._held = held[at:]
+        return found
+
+    def idle(self) -> list[Message]:
+        """To be called when nothing has come for IDLE_S: what was begun will not end. The messages found in it."""
+        found: list[Message] = []
+        while self._held:
+            held, self._held = self._held[1:], b""
+            self.skipped += 1
+            found += self.feed(held)
         return found
 
     def _message(self, kind: int, sequence: int, payload: bytes) -> list[Message]:
