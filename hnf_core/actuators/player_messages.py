@@ -1,0 +1,232 @@
+"""What is said to the player's process and by it: one JSON object a line, {"is": "Play", …the fields…}.
+
+Strict in both directions: a field that is missing, unknown, of another type or no finite number refuses the line.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import MISSING, asdict, dataclass, fields
+from types import UnionType
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+
+from ..errors import UsageError
+
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class Where:
+    """target: as `hnf stream --to` takes it. profile: a name or FILE.json as --profile takes it; "own" is the device
+    of own: peak in m/s² (0 = not known), lowest and highest frequency in Hz."""
+
+    target: str
+    profile: str
+    own: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Play:
+    """A WAV, in place of what plays. play: the client's number for it, said again in all that is told of it.
+    file: read once, at once. block_ms: samples are made in blocks of it, three ahead."""
+
+    play: int
+    file: str
+    where: Where
+    loop: bool = False
+    start_s: float = 0.0
+    gain_db: float = 0.0
+    block_ms: float = 5.0
+
+
+@dataclass(frozen=True)
+class LiveBegin:
+    """A hand on a surface, from now on, in place of what plays. material: a .hnf file, or a name of the library.
+    Nothing sounds before the first Move."""
+
+    play: int
+    material: str
+    where: Where
+    seed: int = 0
+    probe: str = "pen"
+    gain_db: float = 0.0
+
+
+@dataclass(frozen=True)
+class Move:
+    """The hand at time_s (its own clock) is at x_m, y_m on the surface and presses with force_n; 0 = lifted."""
+
+    time_s: float
+    x_m: float
+    y_m: float
+    force_n: float
+
+
+@dataclass(frozen=True)
+class Pause:
+    """Fade out and stay."""
+
+
+@dataclass(frozen=True)
+class Resume:
+    """Fade in and go on."""
+
+
+@dataclass(frozen=True)
+class Seek:
+    """Go on at position_s, cross-faded."""
+
+    position_s: float
+
+
+@dataclass(frozen=True)
+class Loop:
+    """Whether the end is followed by the start."""
+
+    loop: bool
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Faded in."""
+
+    gain_db: float
+
+
+@dataclass(frozen=True)
+class Swap:
+    """Go on in another WAV of the same rate, at the same place, cross-faded."""
+
+    file: str
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Silence, softly; the device is given back."""
+
+
+@dataclass(frozen=True)
+class Quit:
+    """Stop, and leave. The end of standard input says the same."""
+
+
+Command = Play | LiveBegin | Move | Pause | Resume | Seek | Loop | Gain | Swap | Stop | Quit
+
+
+@dataclass(frozen=True)
+class Ready:
+    """The first that is said. version: of these messages."""
+
+    version: int
+
+
+@dataclass(frozen=True)
+class Began:
+    """The device is open and gets samples. queue_ms: most that it owes. note: what is done to them, in words."""
+
+    play: int
+    device: str
+    rate_hz: float
+    queue_ms: float
+    note: str
+
+
+@dataclass(frozen=True)
+class Status:
+    """20 times a second while something plays, and once when that changes.
+
+    state: playing, paused, ended (nothing plays any more). position_s: into the recording, of what sounds now.
+    level_m_s2: RMS now. peak: largest that left, 0–1 of full scale. limited, nonfinite: samples that the limiter
+    changed. problem: why it ended, "" = it was over or was stopped.
+    """
+
+    play: int
+    state: str
+    position_s: float
+    level_m_s2: float
+    peak: float
+    underruns: int
+    limited: int
+    nonfinite: int
+    played_s: float
+    latency_p99_ms: float
+    temperature_c: float | None
+    problem: str
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A command was not done; all else goes on. play: of the Play or LiveBegin that it was, else −1. why: one line."""
+
+    play: int
+    why: str
+
+
+Report = Ready | Began | Status | Refused
+
+Message = TypeVar("Message")
+
+
+def encode(message: Command | Report) -> str:
+    """A line, without its end."""
+    return json.dumps({"is": type(message).__name__, **asdict(message)}, separators=(",", ":"), allow_nan=False)
+
+
+def decode_command(line: str) -> Command:
+    """Raises UsageError, in one line, where it is none."""
+    found: Command = _decode(line, get_args(Command))
+    return found
+
+
+def decode_report(line: str) -> Report:
+    """Raises UsageError, in one line, where it is none."""
+    found: Report = _decode(line, get_args(Report))
+    return found
+
+
+def _decode(line: str, kinds: tuple[type[Any], ...]) -> Any:
+    try:
+        found = json.loads(line, parse_constant=_no_number)
+        if not isinstance(found, dict):
+            raise ValueError("it is no object")
+        name = found.pop("is", None)
+        kind = {kind.__name__: kind for kind in kinds}.get(name) if isinstance(name, str) else None
+        if kind is None:
+            raise ValueError(f'"is" is none of {", ".join(kind.__name__ for kind in kinds)}')
+        return _record(kind, found)
+    except (ValueError, OverflowError, RecursionError) as error:
+        said = line if len(line) <= 60 else f"{line[:60]}…"
+        why = " ".join(str(error).split())
+        raise UsageError(f"a message that cannot be read, {why}: {json.dumps(said)}.") from error
+
+
+def _record(kind: type[Message], found: dict[str, Any]) -> Message:
+    hints = get_type_hints(kind)
+    expected = {field.name: field for field in fields(kind)}  # type: ignore[arg-type]
+    unknown = [name for name in found if name not in expected]
+    if unknown:
+        raise ValueError(f"{kind.__name__} has no field '{unknown[0]}'")
+    missing = [name for name, field in expected.items() if field.default is MISSING and name not in found]
+    if missing:
+        raise ValueError(f"{kind.__name__} needs '{missing[0]}'")
+    return kind(**{name: _value(hints[name], value, f"{kind.__name__}.{name}") for name, value in found.items()})
+
+
+def _value(kind: Any, value: Any, name: str) -> Any:
+    if get_origin(kind) is UnionType:
+        return None if value is None else _value(get_args(kind)[0], value, name)
+    if get_origin(kind) is tuple and isinstance(value, list):
+        return tuple(_value(get_args(kind)[0], each, name) for each in value)
+    if kind is Where and isinstance(value, dict):
+        return _record(Where, value)
+    if kind is float and type(value) is int:
+        value = float(value)
+    if type(value) is not kind:
+        raise ValueError(f"{name} is no {getattr(kind, '__name__', 'list')}")
+    if kind is float and not abs(value) < float("inf"):
+        raise ValueError(f"{name} is not finite")
+    return value
+
+
+def _no_number(word: str) -> float:
+    raise ValueError(f"{word} is no number")

@@ -1,0 +1,100 @@
+"""What would go on the wire, as a WAV; not in real time.
+
+16-bit PCM: the very counts. Where full scale is known, LIST/INFO says what a count stands for, so that read_wav gives
+m/s² back (one count is 1/32768 of PCM's full scale, and 1/32767 of a wire's).
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import DeviceError, HnfError, UsageError
+from ...export.wav import SCHEMA, UNITS
+from ...files import write_bytes
+from ..limits import COUNTS
+from ..sink import Counts, SinkFormat, SinkStatus
+
+QUEUE_S = 0.1
+"""It takes whatever comes; so much at once."""
+_LARGEST = 2**32 - 1024
+
+
+class FileSink:
+    """Keeps what is written; finish() or close() makes the file of it, atomically.
+
+    path: the WAV. rate_hz: whole, as the source's. full_scale_m_s2: of a full-scale count; None leaves it unsaid.
+    """
+
+    def __init__(self, path: Path, rate_hz: float, channels: int = 1, full_scale_m_s2: float | None = None) -> None:
+        if rate_hz != round(rate_hz) or not 1 <= rate_hz < 2**31 / (2 * channels):
+            raise UsageError(f"a WAV needs a whole sample rate, not {rate_hz:g} Hz.", remedy="Resample it first.")
+        self._path, self._rate, self._channels, self._full_scale = Path(path), int(rate_hz), channels, full_scale_m_s2
+        self._written: list[bytes] = []
+        self._frames = 0
+        self._open = False
+        self._problem = ""
+
+    def open(self) -> SinkFormat:
+        if self._path.is_dir():
+            raise self._refused("it is a folder", "Name a .wav file.")
+        self._written, self._frames, self._open, self._problem = [], 0, True, ""
+        return SinkFormat(float(self._rate), self._channels, max(1, int(self._rate * QUEUE_S)), f"file {self._path}")
+
+    def wait(self, timeout_s: float) -> int:
+        return max(1, int(self._rate * QUEUE_S))
+
+    def write(self, counts: Counts) -> None:
+        if not self._open:
+            raise self._refused("it is closed", "Start again.")
+        data = np.ascontiguousarray(counts, dtype="<i2")
+        if (self._frames + len(data)) * 2 * self._channels > _LARGEST:
+            raise self._refused("a WAV holds 4 GB, and more has come", "Give --seconds.")
+        self._written.append(data.tobytes())
+        self._frames += len(data)
+
+    def status(self) -> SinkStatus:
+        return SinkStatus(played=self._frames, problem=self._problem)
+
+    def finish(self, timeout_s: float) -> None:
+        """Raises DeviceError where the file cannot be written."""
+        try:
+            self._save()
+        except HnfError as error:
+            self._problem = str(error)
+            raise DeviceError(error.what, where=error.where, remedy=error.remedy) from error
+
+    def stop(self) -> None:
+        """What has been written stays."""
+
+    def close(self) -> None:
+        try:
+            self._save()
+        except HnfError as error:
+            self._problem = str(error)
+
+    def _save(self) -> None:
+        if self._open:
+            self._open = False
+            write_bytes(self._path, pcm_wav(b"".join(self._written), self._rate, self._channels, self._full_scale))
+
+    def _refused(self, what: str, remedy: str) -> DeviceError:
+        return DeviceError(f"{what}.", where=str(self._path), remedy=remedy)
+
+
+def pcm_wav(data: bytes, rate_hz: int, channels: int, full_scale_m_s2: float | None) -> bytes:
+    """A 16-bit PCM WAV around little-endian frames; layout as in export/wav.py."""
+    form = struct.pack("<HHIIHH", 1, channels, rate_hz, rate_hz * 2 * channels, 2 * channels, 16)
+    body = b"WAVEfmt " + struct.pack("<I", len(form)) + form
+    if full_scale_m_s2 is not None:
+        scale = full_scale_m_s2 * (COUNTS + 1) / COUNTS
+        record = {"schema": SCHEMA, "units": UNITS, "scale": scale, "seed": 0, "provenance": {"made by": "hnf stream"}}
+        text = json.dumps(record).encode() + b"\0"
+        text += b"\0" * (len(text) % 2)
+        info = b"INFOICMT" + struct.pack("<I", len(text)) + text
+        body += b"LIST" + struct.pack("<I", len(info)) + info
+    body += b"data" + struct.pack("<I", len(data)) + data
+    return b"RIFF" + struct.pack("<I", len(body)) + body
