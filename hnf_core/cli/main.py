@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 from .. import __version__
 from ..errors import HnfError, UsageError
-from . import bench, materials, synth, touch, train
+from . import bench, export, import_file, materials, synth, touch, train
 from . import eval as evaluate
 
 Runner = Callable[[argparse.Namespace], int]
@@ -29,6 +29,8 @@ def build_parser(run_touch: Runner, run_bench: Runner = bench.run) -> argparse.A
     train.add_parser(verbs).set_defaults(run=train.run)
     evaluate.add_parser(verbs).set_defaults(run=evaluate.run)
     materials.add_parser(verbs).set_defaults(run=materials.run)
+    export.add_parser(verbs).set_defaults(run=export.run)
+    import_file.add_parser(verbs).set_defaults(run=import_file.run)
     bench.add_parser(verbs).set_defaults(run=run_bench)
     return parser
 

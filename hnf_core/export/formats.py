@@ -3,9 +3,10 @@
 To add one: write two functions of the types below in a file of its own, and put a Format with them into FORMATS. The
 command line, the loss report and the tests of all formats take it from there.
 
-* A *writer* `(path, signal, options) -> (what it left out, …)` writes path atomically (`hnf_core/files.py`) and returns,
-  in sentences, what the format has no place for; numbers are not needed, the loss report measures them. It raises
-  FileError where the signal cannot be held (not finite, no rate that fits), UsageError where an option is missing.
+* A *writer* `(path, signal, options) -> (what it left out, …)` writes path atomically (`hnf_core/files.py`) and
+  returns, in sentences, what the format has no place for and what was clipped; the loss report measures the rest. It
+  raises FileError where the signal cannot be held (not finite, no rate that fits), UsageError where an option is
+  missing.
 * A *reader* `(path, options) -> Signal` gives back m/s². Where the format keeps envelopes only, they are rendered on a
   carrier (`tone.py`). It raises one FileError for whatever is wrong with the file, within bounded memory
   (`json_files.py` reads JSON so). None: the format cannot be read back, and its loss is told in words alone.
@@ -19,7 +20,12 @@ from pathlib import Path
 
 from ..errors import UsageError
 from ..signal import Signal
+from .ahap import read_ahap, write_ahap
+from .android import read_android, write_android
+from .haptic import read_haptic, write_haptic
 from .options import ExportOptions, ImportOptions
+from .table import read_csv, read_npz, write_csv, write_npz
+from .wav_copies import copy_writer, read_any_wav, write_native
 
 Writer = Callable[[Path, Signal, ExportOptions], tuple[str, ...]]
 Reader = Callable[[Path, ImportOptions], Signal]
@@ -27,8 +33,8 @@ Reader = Callable[[Path, ImportOptions], Signal]
 
 @dataclass(frozen=True)
 class Format:
-    """word: as asked for. suffix: of its files, with the dot. what: it is, in a sentence. checked: against what its files
-    are validated, and what could not be checked. write, read: see above."""
+    """word: as asked for. suffix: of its files, with the dot. what: it is, in a sentence. checked: against what its
+    files are validated, and what could not be checked. write, read: see above."""
 
     word: str
     suffix: str
@@ -38,7 +44,43 @@ class Format:
     read: Reader | None
 
 
-FORMATS: dict[str, Format] = {}
+_LOFELT = "the rules of Lofelt's own reader (NiceVibrations, `core/datamodel/src/v1.rs`)"
+
+FORMATS: dict[str, Format] = {
+    each.word: each
+    for each in (
+        Format(
+            "wav", ".wav", "WAV, 32-bit float in m/s², at the signal's own rate",
+            "Microsoft's and IBM's RIFF specification; read again by scipy",
+            write_native, read_any_wav,
+        ),
+        Format(
+            "wav8k", ".wav", "WAV for an actuator: 8 kHz, 16 bit, full scale as told",
+            "as wav", copy_writer(8000), read_any_wav,
+        ),
+        Format(
+            "wav48k", ".wav", "WAV for a sound card: 48 kHz, 16 bit, full scale as told",
+            "as wav", copy_writer(48000), read_any_wav,
+        ),
+        Format(
+            "haptic", ".haptic", "Meta Haptics (Lofelt) 1.0.0: strength and frequency over time",
+            f"{_LOFELT}; not played on a device", write_haptic, read_haptic,
+        ),
+        Format(
+            "ahap", ".ahap", "Apple Core Haptics: strength and sharpness over time",
+            "Apple's documentation of its keys, ranges and the 30 s; the 16 points a curve are Lofelt's converter's; "
+            "not loaded by Core Haptics, which runs on Apple's systems alone",
+            write_ahap, read_ahap,
+        ),
+        Format(
+            "android", ".json", "Android waveform: timings and amplitudes of VibrationEffect.createWaveform",
+            "the method's documentation; Android has no file format for it; not played on a device",
+            write_android, read_android,
+        ),
+        Format("csv", ".csv", "a table time_s,acceleration_m_s2", "read again by numpy", write_csv, read_csv),
+        Format("npz", ".npz", "numpy arrays, without pickle", "read again by numpy.load", write_npz, read_npz),
+    )
+}  # fmt: skip
 
 
 def format_of(word: str) -> Format:
@@ -51,9 +93,9 @@ def format_of(word: str) -> Format:
 def format_of_file(path: Path) -> Format:
     """The format to read path with, by its suffix. Raises UsageError naming those that can be read."""
     suffix = path.suffix.lower()
-    for each in FORMATS.values():
-        if each.suffix == suffix and each.read is not None:
-            return each
+    found = [each for each in FORMATS.values() if each.suffix == suffix and each.read is not None]
+    if found:
+        return found[0]
     readable = sorted({each.suffix for each in FORMATS.values() if each.read is not None})
     raise UsageError(
         f"{path.name}: files of the kind '{path.suffix}' cannot be read.", remedy=f"Give one of {', '.join(readable)}."

@@ -61,7 +61,7 @@ def wav_bytes(signal: Signal, *, where: str = "WAV") -> bytes:
         )
     format_chunk = struct.pack("<HHIIHHH", _IEEE_FLOAT, 1, int(rate), int(rate) * 4, 4, 32, 0)
     head = _chunk(b"fmt ", format_chunk) + _chunk(b"fact", struct.pack("<I", len(samples)))
-    head += _chunk(b"LIST", b"INFO" + b"".join(_chunk(tag, text) for tag, text in _info(signal)))
+    head += info_chunk(signal)
     body = b"WAVE" + head + b"data" + struct.pack("<I", min(samples.nbytes, _LARGEST))
     if len(body) + samples.nbytes > _LARGEST:
         raise FileError(
@@ -117,9 +117,14 @@ def read_wav(path: Path) -> Signal:
     return Signal(samples, float(rate), seed, provenance)
 
 
-def _info(signal: Signal) -> Iterator[tuple[bytes, bytes]]:
+def info_chunk(signal: Signal, scale: float = 1.0) -> bytes:
+    """LIST/INFO with signal's origin; a stored sample (PCM: −1 … 1) times scale is in m/s²."""
+    return _chunk(b"LIST", b"INFO" + b"".join(_chunk(tag, text) for tag, text in _info(signal, scale)))
+
+
+def _info(signal: Signal, scale: float) -> Iterator[tuple[bytes, bytes]]:
     facts = {str(name): str(value) for name, value in signal.provenance.items()}
-    record = {"schema": SCHEMA, "units": UNITS, "scale": 1.0, "seed": int(signal.seed), "provenance": facts}
+    record = {"schema": SCHEMA, "units": UNITS, "scale": scale, "seed": int(signal.seed), "provenance": facts}
     yield b"ISFT", _terminated(f"Haptic Neural Fields {__version__}")
     for tag, name in ((b"INAM", "stroke"), (b"ISBJ", "material")):
         if facts.get(name):

@@ -1,0 +1,75 @@
+"""`hnf export`: a signal in a format of the rest of the world, and what that cost."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from ..actuators.profile import PROFILES, profile_of
+from ..export.convert import export_signal
+from ..export.formats import FORMATS, format_of
+from ..export.haptic import CLIPPED
+from ..export.options import FULL_SCALE_M_S2, RANGE_HZ, ExportOptions, ImportOptions
+from ..export.wav_copies import read_any_wav
+
+
+def add_parser(verbs: Any) -> argparse.ArgumentParser:
+    listed = "\n".join(f"  {each.word:<8} {each.what}" for each in FORMATS.values())
+    parser: argparse.ArgumentParser = verbs.add_parser(
+        "export",
+        help="write a WAV in another format, and say what was lost",
+        description="Write a signal in another format, with a .json beside it that says what its numbers stand for, "
+        "read it back, and print what was lost.",
+        epilog=f"formats:\n{listed}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("file", type=Path, metavar="FILE.wav", help="a signal of this project, in m/s²")
+    parser.add_argument("--format", required=True, metavar="WORD", help="one of those below")
+    parser.add_argument("--out", type=Path, required=True, metavar="F", help="file to write")
+    add_scale(parser)
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    return parser
+
+
+def add_scale(parser: argparse.ArgumentParser) -> None:
+    """The options that say what 1 stands for."""
+    scale = parser.add_mutually_exclusive_group()
+    scale.add_argument(
+        "--profile", metavar="NAME", help=f"an actuator, for full scale and range: {', '.join(PROFILES)}"
+    )
+    scale.add_argument(
+        "--full-scale", type=float, metavar="M_S2", help=f"m/s² that 1.0 stands for (default {FULL_SCALE_M_S2:g})"
+    )
+    low, high = RANGE_HZ
+    parser.add_argument(
+        "--range", type=float, nargs=2, metavar=("LOW", "HIGH"),
+        help=f"Hz that a frequency of 0 and of 1 stand for (default {low:g} {high:g})",
+    )  # fmt: skip
+
+
+def scale_of(arguments: argparse.Namespace) -> tuple[float | None, tuple[float, float] | None]:
+    """Full scale and range as told, None where they are not. Raises UsageError."""
+    full_scale, range_hz = arguments.full_scale, None
+    if arguments.profile is not None:
+        profile = profile_of(arguments.profile)
+        full_scale, range_hz = profile.limits.full_scale_m_s2, profile.range_hz
+    if arguments.range is not None:
+        range_hz = (arguments.range[0], arguments.range[1])
+    return full_scale, range_hz
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Raises HnfError; returns the exit code."""
+    form = format_of(arguments.format)
+    full_scale, range_hz = scale_of(arguments)
+    options = ExportOptions(FULL_SCALE_M_S2 if full_scale is None else full_scale, range_hz or RANGE_HZ)
+    signal = read_any_wav(arguments.file, ImportOptions())
+    exported = export_signal(signal, form, arguments.out, options)
+    print(json.dumps(exported.to_json(), indent=1) if arguments.json else exported.report())
+    for each in exported.dropped:
+        if each.startswith(CLIPPED):
+            print(f"hnf: {each} Give a larger --full-scale, or an actuator that is stronger.", file=sys.stderr)
+    return 0

@@ -1,0 +1,64 @@
+"""`hnf import`: a file of the rest of the world → WAV in m/s²."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..export.convert import import_signal
+from ..export.formats import FORMATS, format_of
+from ..export.options import RENDER_RATE_HZ, ImportOptions
+from ..export.wav import write_wav
+from .export import add_scale, scale_of
+
+
+def add_parser(verbs: Any) -> argparse.ArgumentParser:
+    readable = sorted({each.suffix for each in FORMATS.values() if each.read is not None})
+    parser: argparse.ArgumentParser = verbs.add_parser(
+        "import",
+        help="turn a haptic file of another program into a WAV in m/s²",
+        description=f"Read {', '.join(readable)} and write a float32 WAV in m/s². Formats that keep strength and "
+        "frequency over time are rendered on a sine. What the file states of its scale counts more than the options.",
+    )
+    parser.add_argument("file", type=Path, metavar="FILE", help="what to read")
+    parser.add_argument("--out", type=Path, required=True, metavar="X.wav", help="file to write")
+    parser.add_argument("--format", metavar="WORD", help="where the file's name does not say (see `hnf export --help`)")
+    add_scale(parser)
+    parser.add_argument(
+        "--rate", type=float, default=RENDER_RATE_HZ, metavar="HZ",
+        help=f"of what is rendered (default {RENDER_RATE_HZ:g}); samples keep their own",
+    )  # fmt: skip
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="draws where the sine starts (default 0)")
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    return parser
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Raises HnfError; returns the exit code."""
+    form = None if arguments.format is None else format_of(arguments.format)
+    full_scale, range_hz = scale_of(arguments)
+    options = ImportOptions(full_scale, range_hz, arguments.rate, arguments.seed)
+    signal = import_signal(arguments.file, options, form)
+    write_wav(arguments.out, signal)
+    record = {
+        "wav": str(arguments.out),
+        "source": str(arguments.file),
+        "sample_rate_hz": signal.sample_rate,
+        "duration_s": signal.duration_s,
+        "rms_m_s2": signal.rms,
+        "peak_m_s2": float(np.abs(signal.samples).max(initial=0.0)),
+        "seed": signal.seed,
+        "provenance": dict(signal.provenance),
+    }
+    if arguments.json:
+        print(json.dumps(record, indent=1))
+        return 0
+    print(f"{arguments.out}: {signal.duration_s:.2f} s at {signal.sample_rate:g} Hz, {signal.rms:.3g} m/s² RMS")
+    for name in ("scale", "carrier", "ignored"):
+        if name in signal.provenance:
+            print(f"- {name}: {signal.provenance[name]}")
+    return 0

@@ -1,0 +1,221 @@
+"""`.ahap`, Apple's haptic pattern: continuous events whose intensity and sharpness follow curves, and clicks.
+
+Keys, ranges and limits from Apple's documentation of Core Haptics ("Representing haptic patterns in AHAP files",
+CHHapticEvent, CHHapticDynamicParameter, CHHapticParameterCurve.ControlPoint): a continuous event lasts at most 30 s; a
+control point's time is relative to the start of its curve, a curve's to that of the pattern; between them lines; the
+intensity control multiplies (0 … 1), the sharpness control adds (−1 … 1), the sum stays within 0 … 1; keys that are not
+Apple's are ignored, so that Metadata may hold full scale, range and origin. Apple states no largest number of points a
+curve; 16, and the square-root law from amplitude to intensity and from frequency to sharpness, are those of the one
+published converter (github.com/Lofelt/NiceVibrations, `core/datamodel/src/ios/v1.rs`). That converter writes the times
+of control points from the start of the pattern, against Apple's words; here they are as Apple says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import FileError
+from ..signal import Signal
+from .envelope import STEP_S, Emphasis, Envelope, Float, control_points, envelope_of
+from .haptic import DROPPED, FREQUENCY_ERROR, clipped_words, from_share, steps_as_ramps, to_share
+from .json_files import Reading, read_json, write_json
+from .options import ExportOptions, ImportOptions
+from .origin import EDITOR, Origin, origin_of, origin_text, rendered_facts
+from .tone import EMPHASIS_S, render
+
+LONGEST_EVENT_S = 30.0
+POINTS_A_CURVE = 16
+INTENSITY, SHARPNESS = "HapticIntensityControl", "HapticSharpnessControl"
+LATEST_S = 10_000.0
+"""Nobody's pattern is longer; a file that says so is damaged."""
+MOST_EVENTS = 20_000
+HUGE = 1e30
+EDGE_S = 1e-9
+_DIGITS = 6
+
+Curve = tuple[Float, Float]
+"""Times, and values between which lines run."""
+
+
+def write_ahap(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
+    """What was left out. Raises FileError where a sample is not finite, the disk refuses, or the signal is empty: a
+    pattern needs an event, and an event a length."""
+    if len(signal.samples) == 0:
+        raise FileError("an empty signal makes no pattern.", where=str(path), remedy="Give one with samples in it.")
+    envelope = envelope_of(signal, options.range_hz)
+    pattern, clipped = ahap_pattern(envelope, options)
+    metadata = {
+        "Project": str(signal.provenance.get("stroke", "")),
+        "Created": EDITOR,
+        "Description": origin_text(signal, options),
+    }
+    write_json(path, {"Version": 1.0, "Metadata": metadata, "Pattern": pattern})
+    return DROPPED + clipped_words(clipped, options)
+
+
+def ahap_pattern(envelope: Envelope, options: ExportOptions) -> tuple[list[dict[str, Any]], int]:
+    """The pattern's entries, and how many points exceeded full scale."""
+    strength = np.round(envelope.amplitude / options.full_scale_m_s2, 12)
+    intensity = np.sqrt(np.clip(strength, 0.0, 1.0))
+    sharpness = np.sqrt(np.clip(to_share(envelope.frequency, options.range_hz), 0.0, 1.0))
+    entries: list[dict[str, Any]] = []
+    end, start = round(envelope.duration_s, _DIGITS), 0.0
+    while start < end:
+        length = round(min(LONGEST_EVENT_S, end - start), _DIGITS)
+        entries.append(_event("HapticContinuous", start, 1.0, 0.0, EventDuration=length))
+        start = round(start + length, _DIGITS)
+    entries += _curves(INTENSITY, envelope.time, intensity, options.error * float(intensity.max()))
+    entries += _curves(SHARPNESS, envelope.time, sharpness, FREQUENCY_ERROR)
+    for each in envelope.emphases:
+        level = min(1.0, each.amplitude / options.full_scale_m_s2) ** 0.5
+        tone = min(1.0, max(0.0, to_share(each.frequency_hz, options.range_hz))) ** 0.5
+        entries.append(_event("HapticTransient", round(each.time_s, _DIGITS), level, tone))
+    return entries, int(np.count_nonzero(strength > 1.0))
+
+
+def read_ahap(path: Path, options: ImportOptions) -> Signal:
+    """The file's pattern, rendered. Overlapping continuous events: the strongest counts. Attack, decay and release,
+    audio, and parameters that jump are named in provenance["ignored"], and not played. Raises FileError."""
+    record = read_json(path)
+    metadata = record.get("Metadata")
+    origin = origin_of(metadata.get("Description") if isinstance(metadata, dict) else None, options)
+    envelope, ignored = ahap_envelope(record, origin, path)
+    samples = render(envelope, options.rate_hz, options.seed, where=str(path))
+    return Signal(samples, options.rate_hz, options.seed, rendered_facts(origin, path.name, ignored))
+
+
+def ahap_envelope(record: dict[str, Any], origin: Origin, path: Path) -> tuple[Envelope, tuple[str, ...]]:
+    """The pattern in m/s² and Hz, and what was not understood. Raises FileError."""
+    reading = Reading(path)
+    events: list[tuple[float, float, float, float]] = []
+    clicks: list[tuple[float, float, float]] = []
+    curves: dict[str, list[Curve]] = {INTENSITY: [], SHARPNESS: []}
+    ignored: set[str] = set()
+    for entry in reading.rows(record, "Pattern"):
+        if not isinstance(entry, dict):
+            raise reading.wrong("an entry of 'Pattern' is no object")
+        if "Event" in entry:
+            event = reading.table(entry, "Event")
+            kind, at = event.get("EventType"), reading.number(event, "Time", 0.0, LATEST_S)
+            if kind not in ("HapticContinuous", "HapticTransient"):
+                ignored.add(f"events of the type {kind!s:.40}")
+                continue
+            level, tone = _parameters(reading, event, ignored)
+            if kind == "HapticTransient":
+                clicks.append((at, level, tone))
+            else:
+                events.append((at, at + reading.number(event, "EventDuration", 0.0, LONGEST_EVENT_S), level, tone))
+        elif "ParameterCurve" in entry:
+            curve = reading.table(entry, "ParameterCurve")
+            name = curve.get("ParameterID")
+            if name in curves:
+                curves[str(name)].append(_points(reading, curve, -1.0 if name == SHARPNESS else 0.0))
+            else:
+                ignored.add(f"curves of {name!s:.40}")
+        else:
+            ignored.update(f"'{name!s:.40}'" for name in entry)
+    if not events and not clicks:
+        raise reading.wrong("its pattern holds no haptic event")
+    if len(events) + len(clicks) > MOST_EVENTS:
+        raise reading.wrong(f"it holds more than {MOST_EVENTS} events")
+    control = {name: _laid_out(found, 1.0 if name == INTENSITY else 0.0) for name, found in curves.items()}
+    return _combined(events, clicks, control, origin), tuple(sorted(ignored))
+
+
+def _combined(
+    events: list[tuple[float, float, float, float]],
+    clicks: list[tuple[float, float, float]],
+    control: dict[str, Curve],
+    origin: Origin,
+) -> Envelope:
+    """Events (start, stop, intensity, sharpness) and clicks (time, …) under their curves. A line of intensity is a
+    parabola of amplitude, so that points are added every STEP_S. Edges are ramps of a nanosecond."""
+    end = max([stop for _, stop, _, _ in events] + [at + 0.5 * EMPHASIS_S for at, _, _ in clicks])
+    borders = np.array([border for start, stop, _, _ in events for border in (start, stop)])
+    knots = np.concatenate([control[name][0] for name in (INTENSITY, SHARPNESS)])
+    time = np.unique(np.concatenate([[0.0, end], np.arange(0.0, end, STEP_S), borders, borders + EDGE_S, knots]))
+    time = time[(time >= 0.0) & (time <= end)]
+    level, tone = np.zeros(len(time)), np.zeros(len(time))
+    for start, stop, own_level, own_tone in events:
+        first, last = np.searchsorted(time, [start + (EDGE_S if start else 0.0), stop + 0.5 * EDGE_S])
+        stronger = own_level > level[first:last]
+        level[first:last] = np.where(stronger, own_level, level[first:last])
+        tone[first:last] = np.where(stronger, own_tone, tone[first:last])
+
+    def played(at: Any, intensity: Any, sharpness: Any) -> tuple[Any, Any]:
+        strong = np.clip(intensity * np.interp(at, *control[INTENSITY]), 0.0, 1.0)
+        sharp = np.clip(sharpness + np.interp(at, *control[SHARPNESS]), 0.0, 1.0)
+        return strong**2 * origin.full_scale_m_s2, from_share(sharp**2, origin.range_hz)
+
+    bursts = ((at, *played(at, own_level, own_tone)) for at, own_level, own_tone in sorted(clicks))
+    return Envelope(time, *played(time, level, tone), tuple(Emphasis(*map(float, each)) for each in bursts))
+
+
+def _parameters(reading: Reading, event: dict[str, Any], ignored: set[str]) -> tuple[float, float]:
+    """Intensity and sharpness of an event, clamped as Apple does. Where one is missing: 1 and 0.5, an
+    assumption, since what Apple publishes leaves its defaults open."""
+    found = {"HapticIntensity": 1.0, "HapticSharpness": 0.5}
+    for each in reading.rows(event, "EventParameters") if "EventParameters" in event else []:
+        value = reading.number(each, "ParameterValue", -HUGE, HUGE)
+        if each.get("ParameterID") in found:
+            found[each["ParameterID"]] = min(1.0, max(0.0, value))
+        else:
+            ignored.add(f"{each.get('ParameterID')!s:.40}")
+    return found["HapticIntensity"], found["HapticSharpness"]
+
+
+def _points(reading: Reading, curve: dict[str, Any], lowest: float) -> Curve:
+    """A curve on the pattern's time."""
+    start = reading.number(curve, "Time", 0.0, LATEST_S)
+    rows = reading.rows(curve, "ParameterCurveControlPoints")
+    if not rows:
+        raise reading.wrong("a curve has no control points")
+    time = start + np.array([reading.number(row, "Time", 0.0, LATEST_S) for row in rows])
+    if np.any(np.diff(time) < 0.0):
+        raise reading.wrong("the times of a curve fall")
+    return time, np.clip([reading.number(row, "ParameterValue", -HUGE, HUGE) for row in rows], lowest, 1.0)
+
+
+def _laid_out(curves: list[Curve], resting: float) -> Curve:
+    """Curves one after the other, by their starts: the value rests at resting before the first, holds between them."""
+    if not curves:
+        return np.zeros(1), np.full(1, resting)
+    curves = sorted(curves, key=lambda each: float(each[0][0]))
+    time = [np.zeros(1)] if curves[0][0][0] > 0.0 else []
+    value = [np.full(1, resting)] if curves[0][0][0] > 0.0 else []
+    held = resting
+    for index, (at, to) in enumerate(curves):
+        until = curves[index + 1][0][0] if index + 1 < len(curves) else np.inf
+        here = at <= until
+        if at[0] > 0.0:
+            time.append(at[:1])
+            value.append(np.full(1, held))
+        time.append(at[here])
+        value.append(to[here])
+        held = float(np.interp(until, at, to))
+    return steps_as_ramps(np.maximum.accumulate(np.concatenate(time))), np.concatenate(value)
+
+
+def _curves(name: str, time: Float, value: Float, error: float) -> Iterator[dict[str, Any]]:
+    """Curves of at most POINTS_A_CURVE points, each starting where the last ended."""
+    points = control_points(time, value, error)
+    for first in range(0, max(1, len(points) - 1), POINTS_A_CURVE - 1):
+        part = points[first : first + POINTS_A_CURVE]
+        start = round(float(time[part[0]]), _DIGITS)
+        rows = [
+            {"Time": round(float(time[at]) - start, _DIGITS), "ParameterValue": round(float(value[at]), _DIGITS)}
+            for at in part
+        ]
+        yield {"ParameterCurve": {"ParameterID": name, "Time": start, "ParameterCurveControlPoints": rows}}
+
+
+def _event(kind: str, at: float, intensity: float, sharpness: float, **more: float) -> dict[str, Any]:
+    parameters = [
+        {"ParameterID": name, "ParameterValue": round(value, _DIGITS)}
+        for name, value in (("HapticIntensity", intensity), ("HapticSharpness", sharpness))
+    ]
+    return {"Event": {"Time": at, "EventType": kind, **more, "EventParameters": parameters}}

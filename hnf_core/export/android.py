@@ -1,0 +1,110 @@
+"""Android's waveform: how long and how strong, step by step, as `VibrationEffect.createWaveform(timings, amplitudes,
+repeat)` takes it (API 26; Android's reference of android.os.VibrationEffect).
+
+{"timings": [ms …], "amplitudes": [0 … 255 …], "repeat": -1, "metadata": {…}}; equally many of both. A device plays the
+steps at its own resonance; a reader here takes the energy's centre, which metadata keeps. Android publishes no file
+format for it: this JSON is the call's arguments by their names.
+"""
+
+from __future__ import annotations
+
+import json
+from itertools import groupby, pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import FileError
+from ..signal import Signal
+from .envelope import Envelope, envelope_of
+from .haptic import clipped_words
+from .json_files import Reading, read_json, write_json
+from .options import ExportOptions, ImportOptions
+from .origin import Origin, origin_of, origin_record, rendered_facts
+from .tone import render
+
+LARGEST = 255
+STEP_MS = 10
+"""A choice of ours: Android takes any whole number of milliseconds."""
+LONGEST_MS = 10_000_000
+DROPPED = (
+    "The waveform and every frequency: only strength over time is kept, and a device plays it at its own resonance.",
+    f"Loudness that changes within {STEP_MS} ms, and steps finer than 1/{LARGEST} of full scale.",
+)
+
+
+def write_android(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
+    """What was left out. Raises FileError where a sample is not finite, the disk refuses, or the signal is shorter than
+    a millisecond, which Android does not play."""
+    envelope = envelope_of(signal, options.range_hz)
+    timings, amplitudes, clipped = steps(envelope, options.full_scale_m_s2)
+    if not timings:
+        raise FileError("shorter than 1 ms.", where=str(path), remedy="Android plays nothing that short.")
+    record = {
+        "timings": timings,
+        "amplitudes": amplitudes,
+        "repeat": -1,
+        "metadata": {**origin_record(signal, options), "frequency_hz": round(centre_of(envelope), 3)},
+    }
+    write_json(path, record)
+    return DROPPED + clipped_words(clipped, options)
+
+
+def steps(envelope: Envelope, full_scale_m_s2: float) -> tuple[list[int], list[int], int]:
+    """Timings [ms], amplitudes 0 … 255, each a step's root mean square, and how many steps exceeded full scale. Equal
+    neighbours are one step."""
+    whole = round(1000.0 * envelope.duration_s)
+    edges = np.append(np.arange(0, whole, STEP_MS), whole)
+    fine = np.arange(0.5, whole, 1.0)
+    power = np.square(np.interp(1e-3 * fine, envelope.time, envelope.amplitude))
+    level = np.sqrt([power[first:last].mean() for first, last in pairwise(edges)])
+    share = np.round(level / full_scale_m_s2, 12)
+    counts = np.minimum(np.rint(LARGEST * share), LARGEST).astype(int)
+    timings, amplitudes = [], []
+    for value, group in groupby(zip(np.diff(edges).tolist(), counts.tolist(), strict=True), key=lambda each: each[1]):
+        timings.append(sum(each[0] for each in group))
+        amplitudes.append(value)
+    return timings, amplitudes, int(np.count_nonzero(share > 1.0))
+
+
+def centre_of(envelope: Envelope) -> float:
+    """Hz: the frequency's mean, weighted with power."""
+    power = np.square(envelope.amplitude)
+    if not power.any():
+        return float(envelope.frequency[0])
+    return float(np.average(envelope.frequency, weights=power))
+
+
+def read_android(path: Path, options: ImportOptions) -> Signal:
+    """The steps, rendered at the frequency that metadata states, else in the middle of the range. Raises FileError."""
+    record = read_json(path)
+    metadata = record.get("metadata")
+    origin = origin_of(json.dumps(metadata) if isinstance(metadata, dict) else None, options)
+    envelope = android_envelope(record, origin, path)
+    samples = render(envelope, options.rate_hz, options.seed, where=str(path))
+    return Signal(samples, options.rate_hz, options.seed, rendered_facts(origin, path.name))
+
+
+def android_envelope(record: dict[str, Any], origin: Origin, path: Path) -> Envelope:
+    """Steps as ramps of a nanosecond, in m/s². Raises FileError."""
+    reading = Reading(path)
+    timings, amplitudes = reading.rows(record, "timings"), reading.rows(record, "amplitudes")
+    if len(timings) != len(amplitudes):
+        raise reading.wrong(f"it has {len(timings)} timings and {len(amplitudes)} amplitudes")
+    if "repeat" in record and reading.number(record, "repeat", -1, 1e9) != -1:
+        raise reading.wrong("it repeats for ever, which no file can hold")
+    length = np.array([reading.number({"timing": each}, "timing", 0, LONGEST_MS) for each in timings])
+    level = np.array([reading.number({"amplitude": each}, "amplitude", 0, LARGEST) for each in amplitudes])
+    if not length.sum() > 0.0:
+        raise reading.wrong("all its timings are 0")
+    played = length > 0.0
+    end = np.cumsum(length[played]) / 1000.0
+    start = np.concatenate([[0.0], end[:-1] + 1e-9])
+    time = np.stack([start, end], axis=1).ravel()
+    amplitude = np.repeat(level[played] / LARGEST * origin.full_scale_m_s2, 2)
+    middle = 0.5 * (origin.range_hz[0] + origin.range_hz[1])
+    metadata = record.get("metadata")
+    stated = isinstance(metadata, dict) and "frequency_hz" in metadata
+    hertz = reading.number(metadata, "frequency_hz", *origin.range_hz) if stated else middle
+    return Envelope(time, amplitude, np.full(len(time), hertz))

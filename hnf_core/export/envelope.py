@@ -1,0 +1,187 @@
+"""A signal as phones and game controllers keep it: how strong, and at which frequency, over time.
+
+*Amplitude* is that of the sine with the same local power: |z| of the analytic signal z within the device's range, as a
+root mean square over a Hann window (a sine of 3 m/s² has amplitude 3, noise of 1 m/s² RMS has √2). *Frequency* is the
+local power centroid within the range, Im(z̄ z′)/(2π |z|²) averaged with the power as weight (L. Cohen, Time-Frequency
+Analysis, 1995, ch. 2): exact for a tone, however short the window. Both need numpy's FFT alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import FileError
+from ..signal import Signal
+
+Float = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Index = NDArray[np.intp]
+
+STEP_S = 0.005
+"""From one value to the next before control points are chosen."""
+HALF_WINDOW_S = 0.010
+REACH_S = 0.025
+"""An amplitude is never above the largest sample this near: half a period of the slowest vibration that is felt."""
+EDGE_OCTAVES = 0.25
+"""Width of the flanks outside the range."""
+CLICK = 3.5
+"""A sample this far above the local amplitude (5 σ of a noise) is a click, which an envelope cannot hold."""
+CLICK_SHARE = 0.2
+"""Of the signal's peak, that a click has at least."""
+CLICKS_APART_S = 0.030
+QUIET = 1e-3
+"""Share of the largest amplitude below which a frequency means nothing; it is then taken from the neighbours."""
+_ROWS = 4096
+
+
+@dataclass(frozen=True)
+class Emphasis:
+    """A click: time_s, amplitude [m/s²], frequency_hz."""
+
+    time_s: float
+    amplitude: float
+    frequency_hz: float
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """time: (k,) s, rising from 0; the last is the duration. amplitude: (k,) m/s². frequency: (k,) Hz. Linear between
+    them. emphases: rising in time."""
+
+    time: Float
+    amplitude: Float
+    frequency: Float
+    emphases: tuple[Emphasis, ...] = ()
+
+    @property
+    def duration_s(self) -> float:
+        return float(self.time[-1])
+
+
+def envelope_of(signal: Signal, range_hz: tuple[float, float]) -> Envelope:
+    """The envelope of signal within range_hz, every STEP_S. Silence has amplitude 0, and the range's middle frequency.
+
+    Raises FileError where a sample is not finite.
+    """
+    x, rate = np.asarray(signal.samples, dtype=np.float64), float(signal.sample_rate)
+    if not np.isfinite(x).all():
+        raise FileError("some samples are not finite, so nothing was written.", remedy="Synthesise it again.")
+    at = grid(len(x), rate)
+    middle = 0.5 * (range_hz[0] + range_hz[1])
+    if not x.any():
+        return Envelope(at / rate, np.zeros(len(at)), np.full(len(at), middle))
+    z, slope = analytic(x, rate, range_hz)
+    half = max(1, round(HALF_WINDOW_S * rate))
+    shape = np.hanning(2 * half + 3)[1:-1]
+    power = around(np.square(np.abs(z)), at, half, lambda rows, inside: _mean(rows, inside * shape))
+    turning = around(np.imag(np.conj(z) * slope), at, half, lambda rows, inside: _mean(rows, inside * shape))
+    near = around(np.abs(x), at, max(1, round(REACH_S * rate)), _largest)
+    amplitude = np.minimum(np.sqrt(np.maximum(power, 0.0)), near)
+    heard = amplitude > QUIET * amplitude.max(initial=0.0)
+    frequency = np.full(len(at), middle)
+    if heard.any():
+        centroid = turning[heard] / (2.0 * np.pi * power[heard])
+        frequency = np.interp(at, at[heard], np.clip(centroid, *range_hz))
+    return Envelope(at / rate, amplitude, frequency, _clicks(x, rate, at, amplitude, frequency))
+
+
+def grid(count: int, rate: float) -> Index:
+    """Samples of the envelope: one every STEP_S, and count itself, the end."""
+    steps = int(count / rate / STEP_S) + 1
+    at = np.minimum(np.round(np.arange(steps) * STEP_S * rate).astype(np.intp), count)
+    return np.asarray(np.unique(np.append(at, count)))
+
+
+def analytic(x: Float, rate: float, range_hz: tuple[float, float]) -> tuple[Complex, Complex]:
+    """z and dz/dt of x within range_hz, cosine flanks of EDGE_OCTAVES outside. x is mirrored at its ends, so that what
+    starts at once is not heard as swelling."""
+    pad = min(len(x), round(2.0 * REACH_S * rate) + 1)
+    wide = np.pad(x, pad, mode="symmetric")
+    size = _fast_size(len(wide) + pad)
+    hertz = np.fft.rfftfreq(size, 1.0 / rate)
+    octaves = np.log2(np.maximum(hertz, 1e-9))
+    low, high = np.log2(range_hz[0]), np.log2(range_hz[1])
+    outside = np.maximum(np.maximum(low - octaves, octaves - high), 0.0)
+    gain = 0.5 + 0.5 * np.cos(np.pi * np.minimum(outside / EDGE_OCTAVES, 1.0))
+    half = np.zeros(size, np.complex128)
+    half[: len(hertz)] = 2.0 * gain * np.fft.rfft(wide, size)
+    z = np.fft.ifft(half)[pad : pad + len(x)]
+    half[: len(hertz)] *= 2j * np.pi * hertz
+    return z, np.fft.ifft(half)[pad : pad + len(x)]
+
+
+def around(values: Float, at: Index, reach: int, fold: Callable[[Float, Float], Float]) -> Float:
+    """fold(rows (m, 2 reach + 1), inside (same, 1 where there is a sample)) → (m,), of the values within reach samples
+    of each of at. In pieces, so that memory stays bounded."""
+    found = np.empty(len(at))
+    offsets = np.arange(-reach, reach + 1)
+    for first in range(0, len(at), _ROWS):
+        place = at[first : first + _ROWS, None] + offsets
+        inside = ((place >= 0) & (place < len(values))).astype(np.float64)
+        rows = values[np.clip(place, 0, len(values) - 1)]
+        found[first : first + _ROWS] = fold(rows, inside)
+    return found
+
+
+def control_points(time: Float, value: Float, error: float, kept: Iterable[int] = ()) -> Index:
+    """Indices (m,) of as few of the points as a greedy pass finds whose connecting lines stay within error of all
+    others; the first, the last and kept are always among them."""
+    times, values = time.tolist(), value.tolist()
+    chosen = [0]
+    for stop in sorted({*kept, len(times) - 1}):
+        while chosen[-1] < stop:
+            chosen.append(_farthest(times, values, error, chosen[-1], stop))
+    return np.asarray(chosen, dtype=np.intp)
+
+
+def _farthest(time: Sequence[float], value: Sequence[float], error: float, start: int, stop: int) -> int:
+    """The farthest point up to stop that a line from start reaches within error of all between. Such a line lies in the
+    cone of slopes that pass each of them within error (J. Sklansky and V. Gonzalez 1980); it only narrows."""
+    low, high, best = -math.inf, math.inf, start + 1
+    for index in range(start + 1, stop + 1):
+        span, rise = time[index] - time[start], value[index] - value[start]
+        if low <= rise / span <= high:
+            best = index
+        low, high = max(low, (rise - error) / span), min(high, (rise + error) / span)
+        if low > high:
+            break
+    return best
+
+
+def _clicks(x: Float, rate: float, at: Index, amplitude: Float, frequency: Float) -> tuple[Emphasis, ...]:
+    """The highest first; each on a point of the grid."""
+    half = max(1, round(0.5 * STEP_S * rate))
+    peak = around(np.abs(x), at, half, _largest)
+    loud = np.flatnonzero((peak >= CLICK * amplitude) & (peak >= CLICK_SHARE * np.abs(x).max()))
+    taken: list[int] = []
+    for index in loud[np.argsort(-peak[loud], kind="stable")]:
+        if all(abs(at[index] - at[each]) >= CLICKS_APART_S * rate for each in taken):
+            taken.append(int(index))
+    return tuple(Emphasis(float(at[i] / rate), float(peak[i]), float(frequency[i])) for i in sorted(taken))
+
+
+def _mean(rows: Float, weight: Float) -> Float:
+    return np.asarray((rows * weight).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-300))
+
+
+def _largest(rows: Float, inside: Float) -> Float:
+    return np.asarray((rows * inside).max(axis=1))
+
+
+def _fast_size(least: int) -> int:
+    """The next 2^a 3^b 5^c, which an FFT is quick with."""
+    best = 1 << max(0, least - 1).bit_length()
+    five = 1
+    while five < best:
+        three = five
+        while three < best:
+            rest = -(-least // three)
+            best = min(best, three << max(0, rest - 1).bit_length())
+            three *= 3
+        five *= 5
+    return best

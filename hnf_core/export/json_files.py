@@ -1,0 +1,90 @@
+"""JSON of unknown origin → values of the right kind, or one FileError that names the place."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from ..errors import FileError
+from ..files import write_text
+
+LARGEST_BYTES = 32 * 2**20
+"""An hour of control points every 5 ms is some 60 MB of text; a stroke is kilobytes."""
+AGAIN = "Export or download it again."
+
+
+def read_bytes(path: Path, largest: int) -> bytes:
+    """The file's bytes. Raises FileError where it cannot be read or is larger."""
+    try:
+        size = path.stat().st_size
+        if size > largest:
+            raise FileError(f"{size / 2**20:.0f} MB are too much.", where=str(path), remedy="Split it.")
+        with path.open("rb") as stream:
+            data = stream.read(largest + 1)
+    except OSError as error:
+        raise FileError(
+            f"cannot be read ({error.strerror or error}).", where=str(path), remedy="Check the file's path."
+        ) from error
+    if len(data) > largest:
+        raise FileError(f"it has no end within {largest / 2**20:.0f} MB.", where=str(path), remedy="Give a file.")
+    return data
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """The file's one object. Raises FileError where it is larger than LARGEST_BYTES, no UTF-8, no JSON (NaN and
+    Infinity are none), nested beyond Python's depth, or no object."""
+    try:
+        found = json.loads(read_bytes(path, LARGEST_BYTES).decode("utf-8-sig"), parse_constant=_refuse)
+    except UnicodeDecodeError as error:
+        raise FileError("is no UTF-8 text.", where=str(path), remedy="Save it as UTF-8.") from error
+    except (ValueError, RecursionError) as error:
+        raise FileError(f"is no JSON ({error}).", where=str(path), remedy=AGAIN) from error
+    if not isinstance(found, dict):
+        raise FileError("holds no JSON object.", where=str(path), remedy=AGAIN)
+    return found
+
+
+def write_json(path: Path, record: dict[str, Any]) -> None:
+    """Atomically; equal records give equal bytes. Raises FileError where the disk refuses."""
+    write_text(path, json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+class Reading:
+    """Values of one file by name; the first that is wrong raises FileError."""
+
+    def __init__(self, path: Path) -> None:
+        self._where = str(path)
+
+    def wrong(self, why: str) -> FileError:
+        return FileError(f"{why}.", where=self._where, remedy=AGAIN)
+
+    def table(self, owner: dict[str, Any], name: str) -> dict[str, Any]:
+        """The object called name."""
+        found = owner.get(name)
+        if not isinstance(found, dict):
+            raise self.wrong(f"'{name}' is missing" if found is None else f"'{name}' is no object")
+        return found
+
+    def rows(self, owner: dict[str, Any], name: str) -> list[Any]:
+        """The array called name."""
+        found = owner.get(name)
+        if not isinstance(found, list):
+            raise self.wrong(f"'{name}' is missing" if found is None else f"'{name}' is no array")
+        return found
+
+    def number(self, owner: Any, name: str, low: float, high: float) -> float:
+        """The number called name, low … high."""
+        if not isinstance(owner, dict):
+            raise self.wrong(f"where '{name}' should stand is no object")
+        found = owner.get(name)
+        if isinstance(found, bool) or not isinstance(found, int | float):
+            raise self.wrong(f"'{name}' is missing" if found is None else f"'{name}' is no number")
+        if not low <= found <= high:
+            shown = f"{found:g}" if -1e300 < found < 1e300 else "beyond all measure"
+            raise self.wrong(f"'{name}' is {shown}, and not within {low:g} … {high:g}")
+        return float(found)
+
+
+def _refuse(constant: str) -> float:
+    raise ValueError(f"{constant} is no number")

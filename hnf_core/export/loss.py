@@ -1,0 +1,137 @@
+"""What a conversion cost, measured on the written file, decoded again."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..metrics.band_energy import Band, band_changes
+from ..signal import Signal
+
+FRAME_S = 0.02
+FLOOR_DB = -120.0
+"""Levels below it, re 1 m/s², are silence."""
+QUIET_DB = 60.0
+"""A band this far below the loudest says nothing, and is not in the table."""
+
+
+@dataclass(frozen=True)
+class Facts:
+    """duration_s, sample_rate_hz; rms, peak: m/s². crest_db: peak over RMS. range_db: from the 5th to the 95th
+    percentile of the levels of 20 ms frames. None: of silence."""
+
+    duration_s: float
+    sample_rate_hz: float
+    rms: float
+    peak: float
+    crest_db: float | None
+    range_db: float | None
+
+
+@dataclass(frozen=True)
+class Loss:
+    """before, after: the conversion; bands: of energy; dropped: what the format has no place for, in words."""
+
+    before: Facts
+    after: Facts
+    bands: tuple[Band, ...]
+    dropped: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        bands = [
+            {
+                "low_hz": band.low_hz,
+                "high_hz": None if math.isinf(band.high_hz) else band.high_hz,
+                "before_db": level_db(band.before),
+                "after_db": level_db(band.after),
+                "change_db": band.change_db,
+            }
+            for band in self.bands
+        ]
+        return {
+            "before": vars(self.before),
+            "after": vars(self.after),
+            "bands": bands,
+            "bands_are": "octaves; levels re 1 (m/s²)²",
+            "dropped": list(self.dropped),
+        }
+
+
+def loss_between(before: Signal, after: Signal, dropped: tuple[str, ...] = ()) -> Loss:
+    """after: read again from the file."""
+    bands = band_changes(before.samples, before.sample_rate, after.samples, after.sample_rate)
+    return Loss(facts_of(before), facts_of(after), bands, dropped)
+
+
+def facts_of(signal: Signal) -> Facts:
+    samples = np.asarray(signal.samples, dtype=np.float64)
+    peak, rms = float(np.abs(samples).max(initial=0.0)), signal.rms
+    crest = None if rms == 0.0 else 20.0 * math.log10(peak / rms)
+    return Facts(signal.duration_s, signal.sample_rate, rms, peak, crest, _range_db(samples, signal.sample_rate))
+
+
+def _range_db(samples: np.ndarray[Any, np.dtype[np.float64]], rate: float) -> float | None:
+    frame = max(1, round(FRAME_S * rate))
+    count = len(samples) // frame
+    if count == 0:
+        return None
+    power = np.square(samples[: count * frame]).reshape(count, frame).mean(axis=1)
+    heard = power[power > 10.0 ** (FLOOR_DB / 10.0)]
+    if len(heard) == 0:
+        return None
+    low, high = np.percentile(10.0 * np.log10(heard), [5.0, 95.0])
+    return float(high - low)
+
+
+def level_db(power: float) -> float | None:
+    """re 1 (m/s²)²; None for what is silent."""
+    return 10.0 * math.log10(power) if power > 10.0 ** (FLOOR_DB / 10.0) else None
+
+
+def loss_table(loss: Loss) -> str:
+    """A few lines for a terminal."""
+    before, after = loss.before, loss.after
+    rows = [
+        ("", "before", "after", "change"),
+        ("duration", f"{before.duration_s:.4f} s", f"{after.duration_s:.4f} s",
+         f"{1000.0 * (after.duration_s - before.duration_s):+.2f} ms"),
+        ("sample rate", f"{before.sample_rate_hz:g} Hz", f"{after.sample_rate_hz:g} Hz", ""),
+        ("level (RMS)", f"{before.rms:.3g} m/s²", f"{after.rms:.3g} m/s²", _ratio(before.rms, after.rms)),
+        ("peak", f"{before.peak:.3g} m/s²", f"{after.peak:.3g} m/s²", _ratio(before.peak, after.peak)),
+        ("crest factor", *_both(before.crest_db, after.crest_db)),
+        ("dynamics, 5–95 %", *_both(before.range_db, after.range_db)),
+    ]  # fmt: skip
+    loudest = max(max(band.before, band.after) for band in loss.bands)
+    for band in loss.bands:
+        if max(band.before, band.after) > loudest * 10.0 ** (-QUIET_DB / 10.0):
+            rows.append((_name(band), *_both(level_db(band.before), level_db(band.after))))
+    widths = [max(len(row[column]) for row in rows) for column in range(4)]
+    lines = [
+        "  ".join([row[0].ljust(widths[0]), *(row[i].rjust(widths[i]) for i in (1, 2, 3))]).rstrip() for row in rows
+    ]
+    return "\n".join([*lines, *(f"- {each}" for each in loss.dropped)])
+
+
+def _name(band: Band) -> str:
+    low, high = (f"{edge:.2g}" if edge < 99.5 else f"{edge:.0f}" for edge in (band.low_hz, min(band.high_hz, 1e9)))
+    return f"above {low} Hz" if math.isinf(band.high_hz) else f"{low}–{high} Hz"
+
+
+def _both(before: float | None, after: float | None) -> tuple[str, str, str]:
+    return _db(before), _db(after), "" if before is None or after is None else _change(after - before)
+
+
+def _change(decibels: float) -> str:
+    # + 0.0: what rounds to nothing has no sign
+    return f"{round(decibels, 1) + 0.0:+.1f} dB"
+
+
+def _db(value: float | None) -> str:
+    return "silent" if value is None else f"{value:.1f} dB"
+
+
+def _ratio(before: float, after: float) -> str:
+    return _change(20.0 * math.log10(after / before)) if before > 0.0 and after > 0.0 else ""

@@ -1,0 +1,70 @@
+"""Where a signal comes from and what its numbers stand for, as one line of text that formats keep in a free field."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from typing import Any
+
+from .. import __version__
+from ..signal import Signal
+from .options import FULL_SCALE_M_S2, RANGE_HZ, ExportOptions, ImportOptions
+from .tone import CARRIER
+
+EDITOR = f"Haptic Neural Fields {__version__}"
+UNITS = "m/s^2"
+_SCHEMA = 1
+
+
+def origin_record(signal: Signal, options: ExportOptions) -> dict[str, Any]:
+    """What can be written beside the data: schema, units, full scale, range, seed, rate and provenance."""
+    return {
+        "schema": _SCHEMA,
+        "units": UNITS,
+        "full_scale": options.full_scale_m_s2,
+        "range_hz": list(options.range_hz),
+        "seed": int(signal.seed),
+        "sample_rate_hz": signal.sample_rate,
+        "provenance": {str(name): str(value) for name, value in signal.provenance.items()},
+    }
+
+
+def origin_text(signal: Signal, options: ExportOptions) -> str:
+    return json.dumps(origin_record(signal, options), ensure_ascii=False)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """full_scale_m_s2, range_hz: what 1 and 0 … 1 stand for. stated: whether the file said so. provenance: its own."""
+
+    full_scale_m_s2: float
+    range_hz: tuple[float, float]
+    stated: bool
+    provenance: dict[str, str]
+
+
+def origin_of(text: object, options: ImportOptions) -> Origin:
+    """What text states, else what options say, else the defaults. Text of others, or damaged, states nothing."""
+    mine = Origin(options.full_scale_m_s2 or FULL_SCALE_M_S2, options.range_hz or RANGE_HZ, False, {})
+    try:
+        record = json.loads(text) if isinstance(text, str) else {}
+        low, high = (float(each) for each in record["range_hz"])
+        scale = float(record["full_scale"])
+        facts = {str(name): str(value) for name, value in record["provenance"].items()}
+        sound = record["units"] == UNITS and 0.0 < scale < 1e6 and 0.0 < low < high <= 1e5
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
+        return mine
+    return replace(mine, full_scale_m_s2=scale, range_hz=(low, high), stated=True, provenance=facts) if sound else mine
+
+
+def rendered_facts(origin: Origin, name: str, ignored: tuple[str, ...] = ()) -> dict[str, str]:
+    """Provenance of what was rendered from the envelopes in the file called name."""
+    low, high = origin.range_hz
+    said = "stated in the file" if origin.stated else "assumed, the file states none"
+    facts = {
+        **origin.provenance,
+        "source": name,
+        "carrier": CARRIER,
+        "scale": f"1 = {origin.full_scale_m_s2:g} m/s², 0 … 1 = {low:g} … {high:g} Hz ({said})",
+    }
+    return {**facts, "ignored": "; ".join(ignored)} if ignored else facts

@@ -1,0 +1,45 @@
+"""FILE.json beside an exported FILE: what its numbers stand for, where it comes from, and which bytes it speaks of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ..errors import FileError
+from ..files import content_hash
+from ..signal import Signal
+from .json_files import read_json, write_json
+from .options import ExportOptions
+from .origin import EDITOR, origin_record
+
+SCHEMA = 1
+
+
+def sidecar_of(path: Path) -> Path:
+    return path.with_name(path.name + ".json")
+
+
+def write_sidecar(path: Path, word: str, signal: Signal, options: ExportOptions, loss: dict[str, Any] | None) -> None:
+    """signal: what was exported to path, as the format called word. loss: the report. Raises FileError."""
+    record = {
+        "schema": SCHEMA,
+        "file": path.name,
+        "hash": content_hash(path.read_bytes()),
+        "format": word,
+        "software": EDITOR,
+        "duration_s": signal.duration_s,
+        **{name: value for name, value in origin_record(signal, options).items() if name != "schema"},
+        "loss": loss,
+    }
+    write_json(sidecar_of(path), record)
+
+
+def origin_beside(path: Path) -> tuple[int, dict[str, str]] | None:
+    """Seed and provenance from the sidecar; None where there is none, or it speaks of other bytes."""
+    try:
+        record = read_json(sidecar_of(path))
+        if record["hash"] != content_hash(path.read_bytes()):
+            return None
+        return int(record["seed"]), {str(name): str(value) for name, value in record["provenance"].items()}
+    except (FileError, OSError, KeyError, TypeError, ValueError, AttributeError):
+        return None
