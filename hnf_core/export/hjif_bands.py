@@ -1,0 +1,130 @@
+"""The bands of `.hjif`, rendered: keyframes of an effect → samples (see `hjif_read.py`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float = NDArray[np.float64]
+TRANSIENT_S = 0.022
+"""Of a transient: two periods of a sine (the reference software's TRANSIENT_DURATION_MS)."""
+
+
+@dataclass(frozen=True)
+class Ticks:
+    """The grid to render on: count samples, rate a second, with timescale ticks a second."""
+
+    count: int
+    rate: int
+    timescale: int
+
+
+@dataclass(frozen=True)
+class EffectKeys:
+    """An effect's keyframes. start: tick at which it begins. place: (k,) ticks after it, never falling. amplitude,
+    frequency: (k,), Hz, NaN where a keyframe has none. phase: rad. shape: of its wave. low_hz, high_hz: of its band.
+    linear: whether a curve goes in lines. joined: another begins exactly where this one ends. tail: ticks that it
+    sounds on after its last keyframe."""
+
+    start: int
+    place: Float
+    amplitude: Float
+    frequency: Float
+    phase: float
+    shape: str
+    low_hz: float = 0.0
+    high_hz: float = np.inf
+    linear: bool = False
+    joined: bool = False
+    tail: float = 0.0
+
+    @property
+    def end(self) -> float:
+        """Tick at which it is over."""
+        return self.start + (float(self.place[-1]) if len(self.place) else 0.0) + self.tail
+
+
+def curve(effect: EffectKeys, ticks: Ticks) -> tuple[int, Float]:
+    """(first sample, values) of a curve: lines, or cubics that are level at each keyframe."""
+    known = np.isfinite(effect.amplitude)
+    place, value = effect.place[known], effect.amplitude[known]
+    first, at = _places(effect, ticks)
+    if len(place) == 0:
+        return first, np.zeros(0)
+    if effect.joined and len(at) and at[-1] >= effect.place[-1]:
+        at = at[:-1]
+    if effect.linear or len(place) == 1:
+        return first, np.interp(at, place, value)
+    after = np.clip(np.searchsorted(place, at, side="right"), 1, len(place) - 1)
+    wide = np.maximum(place[after] - place[after - 1], 1e-12)
+    share = np.clip((at - place[after - 1]) / wide, 0.0, 1.0)
+    return first, value[after - 1] + (value[after] - value[after - 1]) * (3.0 - 2.0 * share) * share**2
+
+
+def wave(effect: EffectKeys, ticks: Ticks) -> tuple[int, Float]:
+    """(first sample, values) of a wave whose amplitude and frequency go in lines from keyframe to keyframe."""
+    first, at = _places(effect, ticks)
+    if len(effect.place) == 0:
+        return first, np.zeros(0)
+    known = np.isfinite(effect.amplitude)
+    amplitude = np.interp(at, effect.place[known], effect.amplitude[known]) if known.any() else np.ones(len(at))
+    tones = np.isfinite(effect.frequency)
+    cycles = np.full(len(at), effect.phase / (2.0 * np.pi))
+    if tones.any():
+        place = effect.place[tones] / ticks.timescale
+        tone = np.clip(effect.frequency[tones], effect.low_hz, effect.high_hz)
+        cycles = cycles + _integral(at / ticks.timescale, place, tone)
+    return first, amplitude * _SHAPES.get(effect.shape, _sine)(cycles)
+
+
+def transient(effect: EffectKeys, ticks: Ticks) -> tuple[int, Float]:
+    """(first sample, values) of clicks: two periods of a sine at each keyframe."""
+    first, at = _places(effect, ticks)
+    values = np.zeros(len(at))
+    for place, amplitude in zip(effect.place, effect.amplitude, strict=True):
+        inside = slice(*np.searchsorted(at, (place, place + TRANSIENT_S * ticks.timescale)))
+        turn = (at[inside] - place) / (TRANSIENT_S * ticks.timescale)
+        values[inside] += np.nan_to_num(amplitude) * np.sin(4.0 * np.pi * turn)
+    return first, values
+
+
+BANDS: dict[str, Callable[[EffectKeys, Ticks], tuple[int, Float]]] = {
+    "Curve": curve,
+    "VectorialWave": wave,
+    "Transient": transient,
+}
+
+
+def _places(effect: EffectKeys, ticks: Ticks) -> tuple[int, Float]:
+    """First sample of an effect within the grid, and the ticks after its start of all its samples."""
+    # In whole numbers: a tick of a float grid may fall short of a keyframe that it stands on.
+    first = max(0, -((-effect.start * ticks.rate) // ticks.timescale))
+    stop = min(ticks.count, int(effect.end * ticks.rate // ticks.timescale) + 1)
+    at = np.arange(first, max(first, stop), dtype=np.float64) * ticks.timescale / ticks.rate - effect.start
+    return min(first, ticks.count), at
+
+
+def _integral(time: Float, place: Float, tone: Float) -> Float:
+    """Cycles from 0 to time of a frequency that goes in lines through (place, tone), and stays before and after."""
+    knots = np.concatenate([[0.0], place]) if place[0] > 0.0 else place
+    tones = np.concatenate([[tone[0]], tone]) if place[0] > 0.0 else tone
+    area = np.concatenate([[0.0], np.cumsum(np.diff(knots) * (tones[1:] + tones[:-1]) / 2.0)])
+    index = np.clip(np.searchsorted(knots, time, side="right") - 1, 0, len(knots) - 1)
+    here = np.interp(time, knots, tones)
+    return np.asarray(area[index] + (time - knots[index]) * (tones[index] + here) / 2.0)
+
+
+def _sine(cycles: Float) -> Float:
+    return np.asarray(np.sin(2.0 * np.pi * cycles))
+
+
+_SHAPES: dict[str, Callable[[Float], Float]] = {
+    "Sine": _sine,
+    "Square": lambda cycles: 1.0 - 2.0 * np.round(cycles - np.floor(cycles)),
+    "Triangle": lambda cycles: 1.0 - 4.0 * np.abs(np.round(cycles - 0.25) - (cycles - 0.25)),
+    "SawToothUp": lambda cycles: 2.0 * (cycles - np.floor(cycles + 0.5)),
+    "SawToothDown": lambda cycles: 2.0 * (np.floor(cycles + 0.5) - cycles),
+}
