@@ -1,104 +1,171 @@
-"""What a device plays: a short queue, and the ramps that are its watchdog."""
+"""What a device plays: a short queue, its limits, and the ramps that are its watchdog.
+
+The law is that of tools/firmware/hnf_device.c, tick by tick: equal counts in, equal counts out.
+"""
 
 from __future__ import annotations
 
-from collections import deque
+from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..protocol.messages import Start
 from ..sink import Counts
 
-QUEUE_S = 0.015
-"""Most that a device may owe. With RAMP_S after it, silence comes within 20 ms, whatever happened to the host."""
+Whole = NDArray[np.int64]
 
-RAMP_S = 0.004
+QUEUE_MS = 15
+RAMP_MS = 4
+"""With so much owed at most and such ramps, silence comes within 20 ms, whatever has happened to the host."""
+
+
+class Command(Enum):
+    """What is wanted: nothing; to play; to play what is there and then rest; to rest now."""
+
+    OFF = 0
+    RUN = 1
+    DRAIN = 2
+    DROP = 3
+
+
+class Phase(Enum):
+    QUIET = 0
+    SOUNDING = 1
+    FADING = 2
+
+
+@dataclass(frozen=True)
+class Format:
+    """channels. queue: most frames owed. peak, slew: counts. ramp: frames. step: of a fade, counts a frame."""
+
+    channels: int
+    queue: int
+    peak: int
+    slew: int
+    ramp: int
+
+    @property
+    def step(self) -> int:
+        return -(-self.peak // self.ramp)
+
+    @classmethod
+    def of(cls, start: Start, queue: int) -> Format:
+        return cls(start.channels, queue, start.peak, start.slew, start.rate_hz // 1000 * RAMP_MS)
 
 
 class Playout:
-    """Frames in, what the converter gets out; its own sample clock is what advance() says.
+    """Frames in, what the converter gets out. Its sample clock is what advance() says.
 
-    It starts softly. Whenever nothing is left, it fades its last frame to silence within RAMP_S, and then starts softly
-    again if more has come meanwhile. Nothing beyond peak counts gets out.
+    It begins once half the queue is full, or after a ramp's time with less; as the host's frames are, for they begin
+    softly. With nothing left it fades to silence, counts an underrun, and begins again with a soft start of its own.
     """
 
-    def __init__(self, rate_hz: float, channels: int, queue_frames: int, peak: int) -> None:
-        self.queue_frames, self.channels = queue_frames, channels
-        self.played = self.starved = 0
-        self._peak, self._ramp = peak, max(1, int(RAMP_S * rate_hz))
-        self._queue: deque[Counts] = deque()
-        self._queued = self._level = 0
-        self._last = np.zeros(channels, dtype=np.int16)
-        self._fading = self._hungry = False
+    def __init__(self, form: Format) -> None:
+        self.form = form
+        self.command, self.phase = Command.RUN, Phase.QUIET
+        self.played = self.underruns = self.limited = 0
+        self._queue: Counts = np.zeros((0, form.channels), dtype=np.int16)
+        self._out = np.zeros(form.channels, dtype=np.int64)
+        self._gain, self._waited = form.ramp, 0
+
+    @property
+    def fill(self) -> int:
+        """Frames that are owed."""
+        return len(self._queue)
 
     @property
     def free(self) -> int:
-        """Frames that push() takes now."""
-        return self.queue_frames - self._queued
+        return self.form.queue - self.fill
 
-    @property
-    def silent(self) -> bool:
-        """Nothing sounds and nothing is owed."""
-        return self._level == 0 and self._queued == 0
-
-    def push(self, counts: Counts) -> int:
-        """(n, channels). Returns how many of them had room; the rest is lost."""
-        taken = counts[: self.free]
-        if len(taken):
-            self._queue.append(np.clip(taken, -self._peak, self._peak))
-            self._queued += len(taken)
-            self.starved += self._hungry
-            self._hungry = False
-        return len(taken)
-
-    def stop(self) -> None:
-        """Drop what is owed and fade, now."""
-        self._queue.clear()
-        self._queued, self._fading, self._hungry = 0, self._level > 0, False
+    def push(self, counts: Counts) -> None:
+        """(n, channels), n at most free."""
+        self._queue = np.concatenate([self._queue, counts])
 
     def advance(self, frames: int) -> Counts:
         """(frames, channels): the next that sound."""
-        out: Counts = np.zeros((frames, self.channels), dtype=np.int16)
+        out: Counts = np.zeros((frames, self.form.channels), dtype=np.int16)
         at = 0
         while at < frames:
-            if self._fading:
-                at += self._fade(out[at:])
-            elif self._queued:
+            self._decide()
+            if self.phase is Phase.SOUNDING:
                 at += self._play(out[at:])
-            elif self._level:
-                self._fading = self._hungry = True
+            elif self.phase is Phase.FADING:
+                at += self._fade(out[at:])
             else:
-                break
+                at += self._rest(frames - at)
         return out
 
-    def _fade(self, room: Counts) -> int:
-        count = min(len(room), self._level)
-        gains = np.arange(self._level - 1, self._level - 1 - count, -1) / self._ramp
-        room[:count] = _scaled(self._last[None], gains)
-        self._level -= count
-        self._fading = self._level > 0
+    def advance_plain(self, frames: int) -> Counts:
+        """The reference of advance(): tick by tick."""
+        out: Counts = np.zeros((frames, self.form.channels), dtype=np.int16)
+        for at in range(frames):
+            self._decide()
+            if self.phase is Phase.SOUNDING:
+                self._play(out[at : at + 1])
+            elif self.phase is Phase.FADING:
+                self._fade(out[at : at + 1])
+        return out
+
+    def _decide(self) -> None:
+        """At the beginning of a tick: what the phase is in it."""
+        if self.command in (Command.DROP, Command.OFF):
+            self._queue = self._queue[:0]
+            if self.phase is Phase.SOUNDING:
+                self.phase = Phase.FADING
+        elif self.phase is Phase.QUIET and self.fill:
+            if self.command is Command.RUN and self.fill < -(-self.form.queue // 2):
+                self._waited += 1
+                if self._waited < self.form.ramp:
+                    return
+            self.phase = Phase.SOUNDING
+        elif self.phase is Phase.SOUNDING and not self.fill:
+            self.underruns += self.command is Command.RUN
+            self.phase, self._gain, self._waited = Phase.FADING, 0, 0
+
+    def _rest(self, most: int) -> int:
+        """Ticks of silence, of which _decide() has had the first."""
+        if not self.fill or self.command in (Command.DROP, Command.OFF):
+            return most
+        count = min(most, self.form.ramp - self._waited)
+        self._waited += count - 1
         return count
 
     def _play(self, room: Counts) -> int:
-        head = self._queue[0]
-        rising = self._ramp - self._level
-        count = min(len(room), len(head), rising or len(head))
-        now, rest = head[:count], head[count:]
-        if rising:
-            self._level += count
-            room[:count] = _scaled(now, np.arange(self._level - count + 1, self._level + 1) / self._ramp)
+        count = min(len(room), self.fill)
+        rising = self.form.ramp - self._gain
+        if rising > 0:
+            count = min(count, rising)
+            gain = np.arange(self._gain + 1, self._gain + 1 + count)[:, None]
+            product = self._queue[:count].astype(np.int64) * gain
+            wanted = np.sign(product) * (np.abs(product) // self.form.ramp)  # towards zero, as C divides
+            self._gain += count
         else:
-            room[:count] = now
-        self._last = now[-1]
-        self._queued -= count
+            wanted = self._queue[:count].astype(np.int64)
+        room[:count] = self._limit(wanted)
+        self._out = room[count - 1].astype(np.int64)
+        self._queue = self._queue[count:]
         self.played += count
-        if len(rest):
-            self._queue[0] = rest
-        else:
-            self._queue.popleft()
         return count
 
+    def _limit(self, wanted: Whole) -> Whole:
+        """(n, channels): within peak, and no step larger than slew."""
+        found = np.clip(wanted, -self.form.peak, self.form.peak)
+        if np.abs(np.diff(found, axis=0, prepend=self._out[None])).max() > self.form.slew:
+            before = self._out
+            for at, value in enumerate(found):
+                before = np.clip(value, before - self.form.slew, before + self.form.slew)
+                found[at] = before
+        self.limited += int(np.count_nonzero(found != wanted))
+        return found
 
-def _scaled(counts: Counts, gains: NDArray[np.float64]) -> Counts:
-    """Towards zero, so that a ramp never exceeds what it scales."""
-    return np.trunc(counts * gains[:, None]).astype(np.int16)
+    def _fade(self, room: Counts) -> int:
+        size, step = np.abs(self._out), self.form.step
+        count = min(len(room), max(1, -(-int(size.max()) // step)))
+        down = step * np.arange(1, count + 1)[:, None]
+        room[:count] = np.sign(self._out) * np.maximum(size - down, 0)
+        self._out = room[count - 1].astype(np.int64)
+        if not self._out.any():
+            self.phase = Phase.QUIET
+        return count

@@ -133,6 +133,12 @@ def warm(transducer: Transducer, drive: Floats, rate_hz: float, start_c: Floats)
     return thermal(transducer, rate_hz).run(warmth, transducer.power(drive))[:, 0] + transducer.ambient_c
 
 
+def warmed(transducer: Transducer, drive: Floats, seconds: float, start_c: Floats) -> Floats:
+    """(C,): the temperature after a drive whose root mean square, (C,), is held for seconds."""
+    final = transducer.ambient_c + transducer.thermal_k_w * transducer.power(drive)
+    return final + (start_c - final) * math.exp(-seconds / transducer.thermal_s)
+
+
 @lru_cache(maxsize=16)
 def mechanical(transducer: Transducer, rate_hz: float) -> Recursion:
     """Position and velocity, by force in newtons."""

@@ -1,0 +1,359 @@
+"""A device on a serial port that speaks docs/serial-protocol.md."""
+
+from __future__ import annotations
+
+import secrets
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+from ...errors import DeviceError, UsageError
+from ..limits import COUNTS
+from ..protocol.frames import Decoder, Encoder
+from ..protocol.messages import (
+    FROM_DEVICE,
+    NO_SLEW_LIMIT,
+    VERSION,
+    Bye,
+    Caps,
+    Code,
+    FromHost,
+    Hello,
+    Samples,
+    Start,
+    Stop,
+    frames_per_message,
+)
+from ..sink import Counts, SinkFormat, SinkStatus
+from .serial_port import gone, open_port
+from .serial_session import RESTART, Session
+
+BAUDRATE = 3_000_000
+DEFAULT_RATE_HZ = 8000
+LONGEST_QUEUE_S = 0.015
+FRAMES = 32
+"""Of one SAMPLES: small, so that a damaged one is a short gap."""
+
+STILL_S = 1.0
+"""This program, or the whole computer, stood still: longer than any scheduling takes."""
+
+TICK_S = 0.02
+NUDGE_S = 0.03
+HELLO_S, HELLO_BUSY_S, BUSY_S = 0.1, 0.05, 0.5
+START_S, START_BUSY_S = 0.2, 0.005
+STOP_S = 0.02
+"""Times of docs/serial-protocol.md: how often HELLO, START and STOP are said again, and for how long while somebody
+else plays."""
+
+
+def _now() -> float:
+    """Seconds that go on while the computer sleeps."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
+
+
+class SerialSink:
+    """See Sink. A thread of its own reads, so that neither a pause of the stream nor a slow caller loses what the
+    device tells."""
+
+    def __init__(
+        self,
+        port: str,
+        baudrate: int = BAUDRATE,
+        rate_hz: int | None = None,
+        channels: int = 1,
+        *,
+        peak: int = COUNTS,
+        slew: int = NO_SLEW_LIMIT,
+        versions: tuple[int, int] = (VERSION, VERSION),
+        answer_s: float = 2.0,
+        clock: Callable[[], float] | None = None,
+    ) -> None:
+        """rate_hz: None takes 8 kHz, or what the device has that is nearest. peak, slew: counts that the device itself
+        shall not exceed. versions: of the protocol, lowest and highest. answer_s: longest to wait for a device that has
+        just been plugged in."""
+        if not 1 <= channels <= 255:
+            raise UsageError(f"a serial device has 1 to 255 channels, not {channels}.")
+        self._port, self._baudrate, self._wanted_hz, self._channels = port, baudrate, rate_hz, channels
+        self._peak, self._slew, self._versions, self._answer_s = peak, slew, versions, answer_s
+        self._clock = clock or _now
+        self._changed = threading.Condition()
+        self._session = Session(port)
+        self._serial: Any = None
+        self._reader: threading.Thread | None = None
+        self._closing = threading.Event()
+        self._encoder = Encoder()
+        self._rate_hz, self._last_tick_s, self._nudged_s = 0, 0.0, 0.0
+
+    def open(self) -> SinkFormat:
+        """See Sink. Raises DeviceError where the port cannot be had, nobody answers, or the device cannot do it."""
+        self.close()
+        return self._connect()
+
+    def _connect(self) -> SinkFormat:
+        self._session, self._encoder, self._last_tick_s = Session(self._port), Encoder(), self._clock()
+        self._serial = open_port(self._port, self._baudrate)
+        self._closing.clear()
+        self._reader = threading.Thread(target=self._read, name=f"hnf read {self._port}", daemon=True)
+        self._reader.start()
+        with self._ending_at_a_problem():
+            caps = self._greet()
+            self._rate_hz = self._agreed_rate(caps)
+            queue = self._start(caps)
+        return SinkFormat(float(self._rate_hz), self._channels, queue, caps.name)
+
+    def wait(self, timeout_s: float) -> int:
+        """See Sink. After stop() or finish() it begins a new session."""
+        deadline = self._clock() + timeout_s
+        with self._ending_at_a_problem():
+            self._check()
+            if self._session.number is None:
+                self._start(self._caps)
+            while True:
+                room, now = self._session.room, self._clock()
+                if room > 0 or now >= deadline:
+                    return room
+                # What the device waits for may have been lost on the way: tell it where we are.
+                if self._session.owed > 0 and now - self._nudged_s > NUDGE_S:
+                    self._nudged_s = now
+                    self._send(Samples(self._number, self._session.sent & 0xFFFFFFFF, b""))
+                self._changed.wait(min(TICK_S, deadline - now))
+                self._check()
+
+    def write(self, counts: Counts) -> None:
+        """See Sink."""
+        with self._ending_at_a_problem():
+            self._check()
+            session, most = self._session, min(FRAMES, frames_per_message(self._channels, self._caps.payload))
+            messages = [
+                Samples.of(self._number, (session.sent + at) & 0xFFFFFFFF, counts[at : at + most])
+                for at in range(0, len(counts), most)
+            ]
+            session.sent += len(counts)
+            self._nudged_s = self._clock()
+            self._send(*messages)
+
+    def status(self) -> SinkStatus:
+        """See Sink."""
+        with self._changed:
+            return self._session.told()
+
+    def finish(self, timeout_s: float) -> None:
+        """See Sink."""
+        deadline = self._clock() + timeout_s
+        with self._ending_at_a_problem():
+            self._check()
+            if self._session.number is None:
+                return
+            said_s = -STOP_S
+            while not self._session.rests and (now := self._clock()) < deadline:
+                if now - said_s >= STOP_S:
+                    said_s = now
+                    self._send(Stop(drain=True))
+                self._changed.wait(TICK_S)
+                self._check()
+            self._session.end()
+
+    def stop(self) -> None:
+        """See Sink."""
+        with self._changed:
+            self._session.end()
+            with suppress(DeviceError):
+                self._send(Stop())
+
+    def close(self) -> None:
+        """See Sink."""
+        with self._changed:
+            serial, self._serial = self._serial, None
+            self._session.end()
+        if serial is None:
+            return
+        self._closing.set()
+        # A closed port may take half a minute where a device no longer reads: whatever is still to go is dropped.
+        with suppress(Exception):
+            serial.write(self._encoder.encode(Stop()) + self._encoder.encode(Bye()))
+            for _ in range(20):
+                if not serial.out_waiting:
+                    break
+                time.sleep(0.002)
+        with suppress(Exception):
+            serial.reset_output_buffer()
+        if self._reader is not None:
+            self._reader.join(1.0)
+        with suppress(Exception):
+            serial.close()
+
+    @property
+    def _number(self) -> int:
+        number = self._session.number
+        if number is None:
+            raise UsageError("nothing can be written after stop(): call wait() first, which starts again.")
+        return number
+
+    def _greet(self) -> Caps:
+        """HELLO until somebody answers: boards restart when their port is opened, and the last host may just have died,
+        with a few milliseconds still to sound."""
+        began, session = self._clock(), self._session
+        while True:
+            session.refusal = None
+            session.greetings += 1
+            self._send(Hello(*self._versions))
+            self._changed.wait_for(self._answered, HELLO_S)
+            self._raise_problem()
+            if session.caps is not None:
+                if self._versions[0] <= session.caps.version <= self._versions[1]:
+                    return session.caps
+                raise self._no_common_version(f"version {session.caps.version}")
+            busy, waited = session.refused(Code.BUSY), self._clock() - began
+            if session.refused(Code.VERSION):
+                raise self._no_common_version(f"'{session.refusal_text}'")
+            if busy and waited >= BUSY_S:
+                raise DeviceError(
+                    "it plays for another program.", where=self._port, remedy="Stop the other stream, then start again."
+                )
+            if waited >= self._answer_s:
+                raise self._nobody()
+            if busy:
+                self._changed.wait_for(lambda: False, HELLO_BUSY_S)
+
+    def _answered(self) -> bool:
+        session = self._session
+        return session.caps is not None or session.refusal is not None or session.problem is not None
+
+    def _nobody(self) -> DeviceError:
+        return DeviceError(
+            "nothing answers there.",
+            where=self._port,
+            remedy="Check that this is the device's port, that it has power, that its firmware speaks HNF's protocol, "
+            f"and that it runs at {self._baudrate} baud.",
+        )
+
+    def _no_common_version(self, theirs: str) -> DeviceError:
+        low, high = self._versions
+        ours = f"version {low}" if low == high else f"versions {low} to {high}"
+        return DeviceError(
+            f"no version of the protocol in common: this program speaks {ours}, the device says {theirs}.",
+            where=self._port,
+            remedy="Update the device's firmware, or this program.",
+        )
+
+    def _agreed_rate(self, caps: Caps) -> int:
+        if self._channels > caps.channels:
+            raise DeviceError(
+                f"it has {caps.channels} channels, not {self._channels}.",
+                where=self._port,
+                remedy=f"Play at most {caps.channels} channels.",
+            )
+        wanted = self._wanted_hz
+        if wanted is None:
+            return min(max(DEFAULT_RATE_HZ, caps.lowest_hz), caps.highest_hz)
+        if not caps.lowest_hz <= wanted <= caps.highest_hz:
+            raise DeviceError(
+                f"it plays from {caps.lowest_hz} to {caps.highest_hz} Hz, not at {wanted} Hz.",
+                where=self._port,
+                remedy="Leave the rate to the device.",
+            )
+        return wanted
+
+    def _start(self, caps: Caps) -> int:
+        """START, until the first CREDIT of the session. Returns the frames that the device owes at most."""
+        number, longest = secrets.randbelow(0xFFFF) + 1, int(LONGEST_QUEUE_S * self._rate_hz)
+        peak, queue = min(self._peak, caps.peak), min(caps.queue, longest)
+        session, give_up = self._session, self._clock() + BUSY_S
+        while session.credit is None:
+            session.begin(number, self._rate_hz, self._clock())
+            self._send(Start(self._rate_hz, self._channels, peak, number, self._slew, queue))
+            self._changed.wait_for(self._started, START_S)
+            self._raise_problem()
+            if session.credit is None and self._clock() >= give_up:
+                raise self._failed("it does not start.", RESTART)
+            if session.refused(Code.BUSY):  # what was stopped still fades
+                self._changed.wait_for(lambda: False, START_BUSY_S)
+        credit = session.credit
+        if credit.queue > longest:
+            raise self._failed(
+                f"it would sound on for {1e3 * credit.queue / self._rate_hz:.0f} ms after a fault.",
+                f"Its queue may hold {longest} frames at most; update its firmware.",
+            )
+        return credit.queue
+
+    def _started(self) -> bool:
+        session = self._session
+        return session.credit is not None or session.refusal is not None or session.problem is not None
+
+    @property
+    def _caps(self) -> Caps:
+        caps = self._session.caps
+        if caps is None:
+            raise DeviceError("the port is not open.", where=self._port, remedy="Start again.")
+        return caps
+
+    @contextmanager
+    def _ending_at_a_problem(self) -> Iterator[None]:
+        """What the reader learns is looked at under its lock; the port is closed without, or the reader would wait."""
+        try:
+            with self._changed:
+                yield
+        except DeviceError:
+            self.close()
+            raise
+
+    def _failed(self, what: str, remedy: str) -> DeviceError:
+        self._session.fail(what, remedy)
+        problem = self._session.problem
+        assert problem is not None
+        return problem
+
+    def _send(self, *messages: FromHost) -> None:
+        """One write. Raises DeviceError where it cannot be done in time; the sink is then closed."""
+        if self._serial is None:
+            raise DeviceError("the port is not open.", where=self._port, remedy="Start again.")
+        data = b"".join(self._encoder.encode(message) for message in messages)
+        try:
+            self._serial.write(data)
+        except Exception as error:
+            if type(error).__name__ == "SerialTimeoutException":
+                self._session.fail("it has stopped reading.", RESTART)
+            else:
+                self._session.problem = self._session.problem or gone(self._port, error)
+            self._raise_problem()
+
+    def _check(self) -> None:
+        """Raise what has gone wrong meanwhile."""
+        now = self._clock()
+        self._stood_still(now)
+        if now - self._last_tick_s < 2.0 * TICK_S:  # else the reader has not been heard of, and may be behind
+            self._session.check(now)
+        self._raise_problem()
+
+    def _raise_problem(self) -> None:
+        if self._session.problem is not None:
+            raise self._session.problem
+
+    def _stood_still(self, now: float) -> None:
+        still = now - self._last_tick_s
+        if still > STILL_S and self._session.number is not None:
+            self._session.fail(f"this program, or the computer, stood still for {still:.1f} s.", "Start again.")
+
+    def _read(self) -> None:
+        """The reader's thread, until close() or the first problem."""
+        serial, decoder = self._serial, Decoder(FROM_DEVICE)
+        while not self._closing.is_set():
+            try:
+                data = serial.read(max(1, serial.in_waiting))
+            except Exception as error:
+                with self._changed:
+                    if not self._closing.is_set():
+                        self._session.problem = self._session.problem or gone(self._port, error)
+                    self._changed.notify_all()
+                return
+            messages = decoder.feed(data)
+            with self._changed:
+                now = self._clock()
+                self._stood_still(now)
+                self._last_tick_s = now
+                self._session.damaged = decoder.crc_errors + decoder.malformed
+                self._session.hear(messages, now)
+                self._session.check(now)
+                self._changed.notify_all()

@@ -1,0 +1,154 @@
+"""A virtual device on a serial port that is none: a pty, served in real time by a thread."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from ...errors import DeviceError
+from .device import Abilities, VirtualDevice
+from .recording import Recording
+from .transducer import GENERIC_TRANSDUCER, Transducer
+
+TICK_S = 0.001
+LATE_S = 0.005
+"""A thread that comes later than that has been kept waiting by the machine, which no device is: its clock has stood
+still, and that is counted."""
+
+HELD_BYTES = 4096
+"""That wait for a host that does not read; more is lost, as on any wire."""
+
+Wire = Callable[[bytes], bytes]
+
+
+def _as_it_is(data: bytes) -> bytes:
+    return data
+
+
+class VirtualPort:
+    """path: what a host opens; it stays the same when the plug is pulled and put in again. recording: all that was
+    played. slipped: frames that the sample clock stood still for want of a machine.
+
+    speed: of its sample clock, 1 = honest. deaf: it does not read. gulp: most bytes that it reads in a millisecond.
+    from_host, to_host: what the wire does to bytes. All may be changed at any time. A context manager.
+    """
+
+    def __init__(
+        self, abilities: Abilities | None = None, transducer: Transducer = GENERIC_TRANSDUCER, *, speed: float = 1.0
+    ) -> None:
+        """Raises DeviceError where the system has no ptys (Windows)."""
+        try:
+            import pty
+            import tty
+        except ImportError as error:
+            raise DeviceError(
+                "the virtual actuator needs a pty, which this system does not have.",
+                remedy="Use it on Linux or macOS; here, play to a file, or on a real device.",
+            ) from error
+        self._open_pty, self._set_raw = pty.openpty, tty.setraw
+        self.recording = Recording(transducer)
+        self.device = VirtualDevice(abilities, transducer, self.recording.hear)
+        self.speed, self.deaf, self.gulp, self.slipped = speed, False, 65536, 0
+        self.from_host: Wire = _as_it_is
+        self.to_host: Wire = _as_it_is
+        self._folder = tempfile.TemporaryDirectory(prefix="hnf-virtual-")
+        self.path = str(Path(self._folder.name) / "port")
+        self._lock = threading.Lock()
+        self._ends: tuple[int, int] | None = None
+        self._held = b""
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="hnf virtual device", daemon=True)
+        self.plug()
+        self._thread.start()
+
+    def __enter__(self) -> VirtualPort:
+        return self
+
+    def __exit__(self, *about: object) -> None:
+        self.close()
+
+    def plug(self) -> None:
+        """Put the plug in; harmless where it is."""
+        with self._lock:
+            if self._ends is not None:
+                return
+            ours, theirs = self._open_pty()
+            # Theirs stays open here too: nothing tells a device on a wire that its host is gone.
+            self._set_raw(ours)
+            self._set_raw(theirs)
+            os.set_blocking(ours, False)
+            self._ends, self._held = (ours, theirs), b""
+            link = Path(self.path)
+            link.unlink(missing_ok=True)
+            link.symlink_to(os.ttyname(theirs))
+
+    def unplug(self) -> None:
+        """Pull it. The device has power of its own, and is told nothing."""
+        with self._lock:
+            self._unplug()
+
+    def close(self) -> None:
+        """Switch it off."""
+        self._closing.set()
+        self._thread.join(1.0)
+        self.unplug()
+        self._folder.cleanup()
+
+    @contextmanager
+    def standing(self) -> Iterator[VirtualDevice]:
+        """The device, its sample clock standing still: what is done meanwhile happens at one of its frames."""
+        with self._lock:
+            yield self.device
+
+    def _unplug(self) -> None:
+        ends, self._ends = self._ends, None
+        Path(self.path).unlink(missing_ok=True)
+        for end in ends or ():
+            with suppress(OSError):
+                os.close(end)
+
+    def _run(self) -> None:
+        debt, last = 0.0, time.monotonic()
+        while not self._closing.is_set():
+            time.sleep(TICK_S)
+            with self._lock:
+                now = time.monotonic()
+                self._listen()
+                debt += (now - last) * self.device.rate_hz * self.speed
+                late = int(LATE_S * self.device.rate_hz)
+                last, due = now, min(int(debt), late)
+                if debt >= late + 1:
+                    self.slipped += int(debt) - late
+                    debt = float(due)
+                debt -= due
+                self.device.advance(due)
+                self._speak()
+
+    def _listen(self) -> None:
+        if self._ends is None or self.deaf:
+            return
+        try:
+            data = os.read(self._ends[0], self.gulp)
+        except BlockingIOError:
+            data = b""
+        except OSError:
+            return
+        self.device.receive(self.from_host(data))
+
+    def _speak(self) -> None:
+        said = self._held + self.to_host(self.device.take())
+        if self._ends is None or not said:
+            self._held = b""
+            return
+        try:
+            said = said[os.write(self._ends[0], said) :]
+        except BlockingIOError:
+            pass
+        except OSError:
+            said = b""
+        self._held = said if len(said) <= HELD_BYTES else b""

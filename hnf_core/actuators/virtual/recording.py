@@ -1,0 +1,53 @@
+"""What a virtual device has played, frame by frame of its sample clock, and what a skin would have got of it."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..sink import Counts
+from .transducer import GENERIC_TRANSDUCER, Motion, Transducer, drive_of, move
+
+
+@dataclass
+class Recording:
+    """Pieces of sound and the clock at which each began; silence is what lies between them. Any thread."""
+
+    transducer: Transducer = GENERIC_TRANSDUCER
+    rate_hz: float = 0.0
+    _pieces: list[tuple[int, Counts]] = field(default_factory=list)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def hear(self, clock: int, rate_hz: float, counts: Counts) -> None:
+        """As VirtualDevice tells it. What was played at another rate or on other channels before is forgotten."""
+        with self._lock:
+            if self._pieces and (rate_hz != self.rate_hz or counts.shape[1] != self._pieces[0][1].shape[1]):
+                self._pieces.clear()
+            self.rate_hz = rate_hz
+            self._pieces.append((clock, counts))
+
+    def forget(self) -> None:
+        with self._lock:
+            self._pieces.clear()
+
+    @property
+    def counts(self) -> Counts:
+        """(n, channels): from the first frame that was no silence to the last, with the silence between them."""
+        with self._lock:
+            pieces = list(self._pieces)
+        if not pieces:
+            return np.zeros((0, 1), dtype=np.int16)
+        first = pieces[0][0]
+        last, tail = pieces[-1]
+        out: Counts = np.zeros((last + len(tail) - first, tail.shape[1]), dtype=np.int16)
+        for clock, piece in pieces:
+            out[clock - first : clock - first + len(piece)] = piece
+        loud = np.flatnonzero(out.any(axis=1))
+        return out[loud[0] : loud[-1] + 1]
+
+    @property
+    def motion(self) -> Motion:
+        """Of the transducer that was at rest and cool: acceleration in m/s², temperature in °C."""
+        return move(self.transducer, drive_of(self.counts), self.rate_hz or 1.0)
