@@ -33,7 +33,7 @@ ARC_SAMPLES_PER_WAVE = 16
 ARC_PER_OCTAVE = 24
 KEPT_TIME_BLOCKS, KEPT_ARC_BLOCKS = 8, 32
 """Noise blocks kept for the next render, 3.7 MB and 1.6 MB each: neighbouring renders meet the same ones again."""
-_ARC_STREAM = 1_000
+ARC_STREAM = 1_000
 
 
 def default_time_edges() -> Float:
@@ -95,7 +95,7 @@ class Carriers:
         """rfft spectra (24, ARC_BLOCK // 2 + 1) of one block of one octave, before its fade."""
         first = octave * ARC_PER_OCTAVE
         edges = self.arc_edges()[first : first + ARC_PER_OCTAVE + 1] * (self.arc_step_m(octave) * ARC_BLOCK)
-        return band_spectra(seed, _ARC_STREAM + octave, block, edges, ARC_BLOCK)
+        return band_spectra(seed, ARC_STREAM + octave, block, edges, ARC_BLOCK)
 
     def time_block_spectra(self, seed: int, block: int) -> NDArray[np.complex128]:
         """rfft spectra (Kt, TIME_BLOCK // 2 + 1) of one block, before its fade."""

@@ -79,14 +79,14 @@ def _octave_term(
     here = np.einsum("pk,pk->p", amplitude[state[starts]][owner], waves)
     after = np.einsum("pk,pk->p", amplitude[state[starts] + 1][owner], waves)
     first_tap = offset[group] + (cell - 1 - low[group])
-    weights = _lagrange(t)
+    weights = lagrange(t)
     total = np.zeros(len(place))
     for tap in range(_TAPS):
         total += weights[tap] * (here[first_tap + tap] * (1.0 - share) + after[first_tap + tap] * share)
     return total
 
 
-def _lagrange(t: Float) -> tuple[Float, Float, Float, Float]:
+def lagrange(t: Float) -> tuple[Float, Float, Float, Float]:
     """Weights of samples −1, 0, 1, 2 at t in 0 … 1."""
     return (
         -t * (t - 1.0) * (t - 2.0) / 6.0,

@@ -1,0 +1,181 @@
+"""Vibration under a hand as it moves: synthesis state by state, strictly causal.
+
+Each state of 5 ms gives the 5 ms of samples that lead up to it; nothing later is known. Where synthesis.py looks ahead:
+
+* s(t) between states: a cubic whose slopes are backward differences of second order (three states), not central ones.
+* What is read too fast to be held: by the last three motions, not by two on either side.
+* Pressing is one more state late, since the force's spline needs the state after (see live_contact).
+* The touch begins when it is told, not 20 ms before; after a lift the fade of 60 ms is a state shorter, so that both
+  together end within 60 ms.
+
+A hand that slides steadily therefore sounds as in synthesise(), sample by sample, DELAY_STATES later.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..action.action import ACTION_RATE_HZ
+from ..errors import UsageError
+from ..material.mechanics import PROBES, Mechanics
+from ..material.token import TOKEN_DIM
+from .carriers import ARC_PER_OCTAVE, MODEL_RATE_HZ
+from .field import Field
+from .linear_contact import BAND_END_HZ
+from .live_contact import LivePressing
+from .live_emission import LiveEmission
+from .live_noise import LiveNoise
+from .live_state import LiveState
+from .modulation import lagrange
+from .rendering import render_weights
+from .synthesis import AFTER_CONTACT_S
+from .timeline import SAMPLES_PER_STATE
+
+Float = NDArray[np.float64]
+
+DELAY_STATES = 1
+"""Samples of step(state) are those of synthesise() between the state before and this one."""
+PRESSING_DELAY_STATES = 2
+"""The same for what pressing alone gives."""
+_SHARE = np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE
+_FADE_STATES = round(AFTER_CONTACT_S * ACTION_RATE_HZ) - 1
+_HERMITE = np.stack(
+    [
+        2 * _SHARE**3 - 3 * _SHARE**2 + 1,
+        _SHARE**3 - 2 * _SHARE**2 + _SHARE,
+        3 * _SHARE**2 - 2 * _SHARE**3,
+        _SHARE**3 - _SHARE**2,
+    ],
+    axis=1,
+)
+
+
+class LiveSynthesis:
+    """Materials under a hand.
+
+    tokens: (M, TOKEN_DIM), mechanics: (M,) of the same materials. The same states and seed give the same bytes. Before
+    the first state the hand is in the air. Memory does not grow. Raises UsageError where these do not fit together, and
+    for a field of the published form, whose carriers lag by themselves.
+    """
+
+    rate_hz = MODEL_RATE_HZ
+
+    def __init__(
+        self, field: Field, tokens: NDArray[np.float32], mechanics: Sequence[Mechanics], *, seed: int, probe: str = "pen"
+    ) -> None:
+        tokens = np.asarray(tokens)
+        if tokens.ndim != 2 or tokens.shape[1] != TOKEN_DIM or not 0 < len(tokens) == len(mechanics):
+            raise UsageError(f"{len(mechanics)} mechanics and tokens of shape {tokens.shape} are no materials.")
+        if probe not in PROBES:
+            raise UsageError(f"there is no probe '{probe}'.", remedy=f"Known: {', '.join(PROBES)}.")
+        if field.config.accumulation != "past" or field.config.carriers.constant:
+            raise UsageError("a field of the published form cannot be felt live.", remedy="Use the shared field.")
+        self._config, self._carriers = field.config, field.config.carriers
+        self._emission = [LiveEmission(field, *each, probe) for each in zip(tokens, mechanics, strict=True)]
+        self._noise = LiveNoise(self._carriers, seed)
+        self._pressing = LivePressing(mechanics, probe)
+        self._kappa = self._carriers.arc_centres()
+        self._past: deque[tuple[Float, Float]] = deque(maxlen=field.config.stride * (field.config.states - 1) + 1)
+        self._places: deque[float] = deque(maxlen=4)
+        self._amplitude, self._audible, self._air = np.zeros(self._carriers.count), 0.0, 0
+        self._sample = -SAMPLES_PER_STATE
+
+    @property
+    def materials(self) -> int:
+        return len(self._emission)
+
+    def step(self, state: LiveState) -> Float:
+        """(SAMPLES_PER_STATE,) m/s², finite: from the state before to this one. Raises UsageError for a material that
+        is not there."""
+        if not 0 <= state.material < self.materials:
+            raise UsageError(f"there is no material {state.material} of {self.materials}.")
+        while len(self._places) < 4:
+            self._places.append(state.position)
+        self._places.append(state.position)
+        before = self._amplitude
+        travels = np.abs(np.diff(self._places))
+        self._amplitude = self._accumulated(state)
+        self._amplitude[self._carriers.arc_slice] *= self._kappa * (travels.max() * ACTION_RATE_HZ) < BAND_END_HZ
+        audible = self._heard(state.contact)
+        pressing = self._pressing.step(state.force if state.contact else 0.0, state.material)
+        out = np.zeros(SAMPLES_PER_STATE)
+        if audible is not None:
+            out = audible * (self._texture(before, self._amplitude, float(travels.max())) + pressing)
+        self._sample += SAMPLES_PER_STATE
+        speed = (self._places[-1] - self._places[-2]) * ACTION_RATE_HZ
+        self._noise.prepare(self._sample, self._places[-1], speed)
+        return out
+
+    def _accumulated(self, state: LiveState) -> Float:
+        """(K,) Σ_n w_n α of the past states; as field.accumulate."""
+        config, direction = self._config, np.array(state.direction)
+        now = self._emission[state.material].at(direction, state.speed, state.force, state.contact)
+        if not self._past:
+            silent = np.zeros_like(now[0]), now[1]
+            self._past.extend([silent] * (self._past.maxlen or 1))
+        self._past.append(now)
+        states = [self._past[-1 - config.stride * n] for n in range(config.states)]
+        sigma = np.array([sigma[n] for n, (_, sigma) in enumerate(states)])
+        return np.asarray(render_weights(sigma) @ np.stack([alpha for alpha, _ in states]))
+
+    def _heard(self, contact: bool) -> Float | None:
+        """Fade of this stretch, or None where it is silent."""
+        before = self._audible
+        if contact and before == 0.0:
+            self._pressing.forget()  # what still rang unheard must not come up with the new touch
+            before = 1.0
+        self._air = 0 if contact else self._air + 1
+        now = max(1.0 - max(self._air - 1, 0) / _FADE_STATES, 0.0)
+        self._audible = min(now, before)
+        if contact:
+            self._audible = 1.0
+        if before == 0.0 and self._audible == 0.0:
+            return None
+        return np.asarray(np.sin(0.5 * np.pi * (before + (self._audible - before) * _SHARE)) ** 2)
+
+    def _texture(self, before: Float, now: Float, travel: float) -> Float:
+        carriers, pair = self._carriers, np.stack([before, now]).astype(np.float32)
+        out = np.zeros(SAMPLES_PER_STATE)
+        if not pair.any():
+            return out
+        if carriers.time_count:
+            mixed = self._noise.time.mixed(pair[:, carriers.time_slice], self._sample, SAMPLES_PER_STATE)
+            out += mixed[0] * (1.0 - _SHARE) + mixed[1] * _SHARE
+        if carriers.arc_count:
+            out += self._arc(pair[:, carriers.arc_slice].reshape(2, -1, ARC_PER_OCTAVE), travel)
+        return out
+
+    def _arc(self, pair: NDArray[np.float32], travel: float) -> Float:
+        """Σ_k A_k c_k(s(t)). pair: (2, octaves, 24). An octave that is left behind, being read too fast, fades out on
+        the spot."""
+        noise, active = self._noise, np.flatnonzero(pair.any(axis=(0, 2)))
+        if len(active) == 0:
+            return np.zeros(SAMPLES_PER_STATE)
+        step = noise.steps_m[active][:, None]
+        fast = self._kappa[active * ARC_PER_OCTAVE] * (travel * ACTION_RATE_HZ) >= BAND_END_HZ
+        place = np.where(fast[:, None], self._places[-2], self._path()) / step
+        floor = np.floor(place)
+        cell, t = floor.astype(np.int64), place - floor
+        low, high = cell.min(axis=1) - 1, cell.max(axis=1) + 3
+        offset = np.concatenate([[0], np.cumsum(high - low)])
+        mixed = np.empty((2, offset[-1]))
+        for row, octave in enumerate(active):
+            chain, span = noise.octaves[octave], slice(offset[row], offset[row + 1])
+            mixed[:, span] = chain.mixed(pair[:, octave], int(low[row]), int(high[row] - low[row]))
+        first = offset[:-1, None] + cell - 1 - low[:, None]
+        here, after = np.zeros_like(t), np.zeros_like(t)
+        for tap, weight in enumerate(lagrange(t)):
+            here += weight * mixed[0, first + tap]
+            after += weight * mixed[1, first + tap]
+        return np.asarray((here * (1.0 - _SHARE) + after * _SHARE).sum(axis=0))
+
+    def _path(self) -> Float:
+        """s (SAMPLES_PER_STATE,) from the state before to this one."""
+        oldest, older, old, new = self._places
+        return np.asarray(
+            _HERMITE @ [old, 1.5 * old - 2.0 * older + 0.5 * oldest, new, 1.5 * new - 2.0 * old + 0.5 * older]
+        )
