@@ -22,7 +22,10 @@ from ..errors import UsageError
 from ..signal import Signal
 from .ahap import read_ahap, write_ahap
 from .android import read_android, write_android
+from .glb import read_glb, write_glb
 from .haptic import read_haptic, write_haptic
+from .hjif import write_hjif
+from .hjif_read import read_hjif
 from .options import ExportOptions, ImportOptions
 from .table import read_csv, read_npz, write_csv, write_npz
 from .wav_copies import copy_writer, read_any_wav, write_native
@@ -34,7 +37,8 @@ Reader = Callable[[Path, ImportOptions], Signal]
 @dataclass(frozen=True)
 class Format:
     """word: as asked for. suffix: of its files, with the dot. what: it is, in a sentence. checked: against what its
-    files are validated, and what could not be checked. write, read: see above."""
+    files are validated, and what could not be checked. write, read: see above. scaled: its numbers are shares of a full
+    scale and of a range, and no m/s²."""
 
     word: str
     suffix: str
@@ -42,6 +46,7 @@ class Format:
     checked: str
     write: Writer
     read: Reader | None
+    scaled: bool = True
 
 
 _LOFELT = "the rules of Lofelt's own reader (NiceVibrations, `core/datamodel/src/v1.rs`)"
@@ -52,7 +57,7 @@ FORMATS: dict[str, Format] = {
         Format(
             "wav", ".wav", "WAV, 32-bit float in m/s², at the signal's own rate",
             "Microsoft's and IBM's RIFF specification; read again by scipy",
-            write_native, read_any_wav,
+            write_native, read_any_wav, scaled=False,
         ),
         Format(
             "wav8k", ".wav", "WAV for an actuator: 8 kHz, 16 bit, full scale as told",
@@ -77,8 +82,20 @@ FORMATS: dict[str, Format] = {
             "the method's documentation; Android has no file format for it; not played on a device",
             write_android, read_android,
         ),
-        Format("csv", ".csv", "a table time_s,acceleration_m_s2", "read again by numpy", write_csv, read_csv),
-        Format("npz", ".npz", "numpy arrays, without pickle", "read again by numpy.load", write_npz, read_npz),
+        Format(
+            "hjif", ".hjif", "MPEG haptics (ISO/IEC 23090-31): a vibration, and with --scene the vertices it lies on",
+            "what MPEG's reference software reads and checks (`IOJson.cpp`, `IOCompatibility.h`); not against its JSON "
+            "schema, which is not public, and not played by it",
+            write_hjif, read_hjif,
+        ),
+        Format(
+            "glb", ".glb", "glTF: the mesh of --scene, what is baked on it as MPEG_haptic_material, and the signal",
+            "Khronos's glTF validator (no error, no warning) and Blender's importer; the extension against its public "
+            "schemas, which do not say how pixels count",
+            write_glb, read_glb,
+        ),
+        Format("csv", ".csv", "a table time_s,acceleration_m_s2", "read again by numpy", write_csv, read_csv, False),
+        Format("npz", ".npz", "numpy arrays, without pickle", "read again by numpy.load", write_npz, read_npz, False),
     )
 }  # fmt: skip
 
