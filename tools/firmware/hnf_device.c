@@ -95,6 +95,8 @@ uint8_t hnf_device_state(const hnf_device *device)
     return device->phase == SOUNDING ? HNF_PLAYING : HNF_WAITING;
 }
 
+uint32_t hnf_device_queued(const hnf_device *device) { return device->written - device->read; }
+
 static void say(hnf_device *device, uint8_t type, const uint8_t *payload, uint16_t length)
 {
     uint8_t frame[HNF_LARGEST_ANSWER];
@@ -116,7 +118,7 @@ static void say_credit(hnf_device *device)
 {
     uint8_t payload[HNF_LARGEST_ANSWER];
     hnf_credit credit = { device->session, device->played, device->queue,
-                          (uint16_t)(device->queue - (device->written - device->read)), hnf_device_state(device) };
+                          (uint16_t)(device->queue - hnf_device_queued(device)), hnf_device_state(device) };
     device->credit_at = device->now;
     say(device, HNF_CREDIT, payload, hnf_put_credit(payload, &credit));
 }
@@ -294,9 +296,9 @@ static void on_samples(hnf_device *device, const hnf_samples *samples)
         say_error(device, HNF_E_MALFORMED, "Half a frame.");
         return;
     }
-    uint32_t gap = samples->position - device->position, count = samples->samples / device->channels;
+    uint32_t gap = samples->position - device->position, count = (uint32_t)samples->samples / device->channels;
     if (gap >= 0x80000000u) return; /* heard before */
-    uint32_t free = device->queue - (device->written - device->read);
+    uint32_t free = device->queue - hnf_device_queued(device);
     if (gap > free || count > free - gap) {
         say_error(device, HNF_E_OVERRUN, "More than the credit allows: these samples are dropped.");
         return;
@@ -376,7 +378,7 @@ void hnf_device_poll(hnf_device *device, uint32_t now_us)
 {
     hnf_device_receive(device, NULL, 0, now_us);
     if (device->mode == HNF_PLAYING && device->command != RUN && !sounds(device)
-        && device->written == device->read) {
+        && hnf_device_queued(device) == 0) {
         device->command = OFF;
         device->mode = device->after;
         say_credit(device);

@@ -13,7 +13,7 @@
 #define HNF_CHANNELS 16 /* most */
 #endif
 #ifndef HNF_QUEUE_SAMPLES
-#define HNF_QUEUE_SAMPLES 11520 /* int16s of memory: 15 ms of 16 channels at 48 kHz; at most 32767 */
+#define HNF_QUEUE_SAMPLES 11520u /* int16s of memory: 15 ms of 16 channels at 48 kHz; at most 32767 */
 #endif
 
 #define HNF_QUEUE_MS 15     /* most that is owed */
@@ -85,5 +85,8 @@ void hnf_device_fault(hnf_device *device, uint8_t code, const char *text);
 void hnf_device_unplugged(hnf_device *device);
 
 uint8_t hnf_device_state(const hnf_device *device);
+
+/* Frames that wait to be played. */
+uint32_t hnf_device_queued(const hnf_device *device);
 
 #endif

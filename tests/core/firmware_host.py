@@ -1,0 +1,137 @@
+"""The C of tools/firmware, compiled for this machine and driven from Python."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hnf_core.actuators.protocol.frames import Decoder, Encoder
+from hnf_core.actuators.protocol.messages import FROM_DEVICE, Hello, Message, Ping, Samples, Start, Status
+
+FIRMWARE = Path(__file__).resolve().parents[2] / "tools" / "firmware"
+STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror", "-g", "-O1"]
+SANITIZE = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer"]
+RATE = 10_000
+QUEUE, RAMP = 150, 40
+"""Frames of 15 ms and 4 ms at RATE."""
+
+
+def build(program: str, folder: Path) -> Path:
+    """host/program.c with the core, with sanitizers where the compiler has them. Skips without a compiler."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("there is no C compiler (cc) here")
+    made = folder / program
+    sources = [FIRMWARE / "host" / f"{program}.c", FIRMWARE / "hnf_device.c", FIRMWARE / "hnf_protocol.c"]
+    order = [compiler, *STRICT, *map(str, sources), "-o", str(made)]
+    probe = folder / "probe.c"
+    probe.write_text("int main(void) { return 0; }\n", encoding="utf-8")
+    safe = subprocess.run(
+        [compiler, *SANITIZE, str(probe), "-o", str(folder / "probe")], capture_output=True, timeout=60
+    )
+    done = subprocess.run(
+        order + (SANITIZE if safe.returncode == 0 else []), capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    return made
+
+
+class Check:
+    """host/check.c. A sanitizer's finding ends it, and the next request fails with what it said."""
+
+    def __init__(self, program: Path) -> None:
+        self._process = subprocess.Popen(
+            [program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        )
+
+    def __call__(self, op: str, argument: int = 0, data: bytes = b"") -> bytes:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        try:
+            self._process.stdin.write(op.encode() + struct.pack("=II", argument, len(data)) + data)
+            self._process.stdin.flush()
+        except BrokenPipeError:
+            pytest.fail(self.end())
+        head = self._process.stdout.read(4)
+        if len(head) < 4:
+            pytest.fail(self.end())
+        return self._process.stdout.read(struct.unpack("=I", head)[0])
+
+    def end(self) -> str:
+        """What it said last."""
+        try:
+            _, said = self._process.communicate(timeout=20)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            _, said = self._process.communicate()
+        return said.decode(errors="replace")
+
+
+class Device:
+    """The C device core beside a host's codec. Time passes by tick() alone."""
+
+    def __init__(
+        self,
+        check: Check,
+        *,
+        channels: int = 2,
+        lowest: int = 1000,
+        highest: int = 48000,
+        peak: int = 32767,
+        hot: int = 32767,
+    ) -> None:
+        self.check, self.channels, self.rate, self.session, self.sent = check, channels, RATE, 7, 0
+        self._encoder, self._decoder, self._ticks = Encoder(), Decoder(FROM_DEVICE), 0
+        self._pause_us = 0
+        check("R", 0, f"{channels} 16 {lowest} {highest} {peak} {hot}".encode())
+
+    @property
+    def now(self) -> int:
+        return (self._pause_us + self._ticks * 1_000_000 // self.rate) & 0xFFFFFFFF
+
+    def encode(self, message: Message) -> bytes:
+        return self._encoder.encode(message)
+
+    def feed(self, data: bytes) -> list[Message]:
+        return self._heard(self.check("F", self.now, data))
+
+    def send(self, *messages: Message) -> list[Message]:
+        return self.feed(b"".join(map(self.encode, messages)))
+
+    def start(self, *, peak: int = 32767, slew: int = 65535, queue: int = 0) -> None:
+        """HELLO and START of a stream of all its channels."""
+        self.send(Hello(), Start(self.rate, self.channels, peak, self.session, slew, queue))
+
+    def samples(self, counts: NDArray[np.int16]) -> Samples:
+        """The next of the stream."""
+        message = Samples.of(self.session, self.sent & 0xFFFFFFFF, counts)
+        self.sent += len(counts)
+        return message
+
+    def tick(self, frames: int) -> NDArray[np.int16]:
+        """(frames, channels) that it plays."""
+        self._ticks += frames
+        return np.frombuffer(self.check("T", frames), np.int16).reshape(frames, -1)
+
+    def poll(self) -> list[Message]:
+        return self._heard(self.check("P", self.now))
+
+    def pause(self, seconds: float) -> None:
+        """The main loop's clock alone goes on."""
+        self._pause_us += round(seconds * 1e6)
+
+    def status(self) -> Status:
+        """That it gives to a PING."""
+        heard = self.send(Ping(1)) + self.poll()
+        return next(message for message in heard if isinstance(message, Status))
+
+    def _heard(self, data: bytes) -> list[Message]:
+        found = self._decoder.feed(data)
+        assert self._decoder.skipped == self._decoder.malformed == self._decoder.gaps == 0
+        return found
