@@ -5,17 +5,20 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
+from hnf_core.cli import export
 from hnf_core.cli.bench import not_here, run_benches
 from hnf_core.cli.main import main as run_command_line
 from hnf_core.cli.touch import request_from
 from hnf_core.errors import HnfError
+from hnf_core.export.surface import TouchedSurface
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; argv without the program's name. Returns the exit code."""
-    return run_command_line(sys.argv[1:] if argv is None else argv, run_touch, run_bench)
+    return run_command_line(sys.argv[1:] if argv is None else argv, run_touch, run_bench, run_export)
 
 
 def run_touch(arguments: argparse.Namespace) -> int:
@@ -25,12 +28,7 @@ def run_touch(arguments: argparse.Namespace) -> int:
             "touch needs Blender, and this Python has no bpy.",
             remedy="Install it (pip install bpy==5.0.1, Python 3.11), or run: blender -b --command hnf touch …",
         )
-    import bpy
-
-    if not hasattr(bpy.types.Object, "hnf_stroke"):  # at a shell no add-on is switched on
-        from . import props
-
-        props.register()
+    _know_strokes()
     from .touch.run import run
 
     return run(request)
@@ -42,3 +40,31 @@ def run_bench(arguments: argparse.Namespace) -> int:
     except ImportError as error:
         raise not_here(error) from error
     return run_benches(arguments, BENCHES)
+
+
+def run_export(arguments: argparse.Namespace) -> int:
+    without_blender = importlib.util.find_spec("bpy") is None
+    return export.run(arguments) if without_blender else export.run(arguments, surface_of_scene)
+
+
+def surface_of_scene(path: Path, origin: Mapping[str, str], object_name: str | None) -> TouchedSurface:
+    """What a signal was felt on, in a scene file. Raises HnfError."""
+    _know_strokes()
+    import bpy
+
+    from .bridge.importers import metres_per_unit, open_scene
+    from .bridge.touched_surface import surface_in_scene
+
+    scene, view_layer = open_scene(path), bpy.context.view_layer
+    view_layer.update()
+    return surface_in_scene(scene, view_layer.depsgraph, metres_per_unit(scene), origin, object_name)
+
+
+def _know_strokes() -> None:
+    """At a shell no add-on is switched on."""
+    import bpy
+
+    if not hasattr(bpy.types.Object, "hnf_stroke"):
+        from . import props
+
+        props.register()

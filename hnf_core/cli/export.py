@@ -5,15 +5,21 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from ..actuators.profile import PROFILES, profile_of
+from ..errors import UsageError
 from ..export.convert import export_signal
 from ..export.formats import FORMATS, format_of
 from ..export.haptic import CLIPPED
 from ..export.options import FULL_SCALE_M_S2, RANGE_HZ, ExportOptions, ImportOptions
+from ..export.surface import TouchedSurface
 from ..export.wav_copies import read_any_wav
+
+SceneReader = Callable[[Path, Mapping[str, str], str | None], TouchedSurface]
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
@@ -29,6 +35,10 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser.add_argument("file", type=Path, metavar="FILE.wav", help="a signal of this project, in m/s²")
     parser.add_argument("--format", required=True, metavar="WORD", help="one of those below")
     parser.add_argument("--out", type=Path, required=True, metavar="F", help="file to write")
+    parser.add_argument(
+        "--scene", type=Path, metavar="BAKED.blend", help="what the stroke was drawn on, for hjif and glb"
+    )
+    parser.add_argument("--object", metavar="NAME", help="which mesh of --scene; default: as FILE.wav says")
     add_scale(parser)
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     return parser
@@ -61,12 +71,25 @@ def scale_of(arguments: argparse.Namespace) -> tuple[float | None, tuple[float, 
     return full_scale, range_hz
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Raises HnfError; returns the exit code."""
+def no_scene(scene: Path, origin: Mapping[str, str], object_name: str | None) -> TouchedSurface:
+    """Where there is no Blender. Raises UsageError."""
+    raise UsageError(
+        f"{scene} can be opened with Blender alone, and this Python has no bpy.",
+        remedy="Install it (pip install bpy==5.0.1, Python 3.11), or run: blender -b --command hnf export …",
+    )
+
+
+def run(arguments: argparse.Namespace, read_scene: SceneReader = no_scene) -> int:
+    """read_scene: --scene, the WAV's provenance and --object → the surface. Raises HnfError; returns the exit code."""
     form = format_of(arguments.format)
+    if arguments.object is not None and arguments.scene is None:
+        raise UsageError("--object without --scene.", remedy="Name the baked scene too: --scene BAKED.blend")
     full_scale, range_hz = scale_of(arguments)
     options = ExportOptions(FULL_SCALE_M_S2 if full_scale is None else full_scale, range_hz or RANGE_HZ)
     signal = read_any_wav(arguments.file, ImportOptions())
+    if arguments.scene is not None:
+        surface = read_scene(arguments.scene, signal.provenance, arguments.object)
+        options = replace(options, surface=surface)
     exported = export_signal(signal, form, arguments.out, options)
     print(json.dumps(exported.to_json(), indent=1) if arguments.json else exported.report())
     for each in exported.dropped:

@@ -17,8 +17,10 @@ from . import eval as evaluate
 Runner = Callable[[argparse.Namespace], int]
 
 
-def build_parser(run_touch: Runner, run_bench: Runner = bench.run) -> argparse.ArgumentParser:
-    """The whole command line. run_touch and run_bench do the Blender part, which this package may not know."""
+def build_parser(
+    run_touch: Runner, run_bench: Runner = bench.run, run_export: Runner = export.run
+) -> argparse.ArgumentParser:
+    """The whole command line. The runners given do the Blender part, which this package may not know."""
     parser = argparse.ArgumentParser(
         prog="hnf", description="Haptic Neural Fields: strokes on 3-D scenes become vibrotactile acceleration."
     )
@@ -29,16 +31,16 @@ def build_parser(run_touch: Runner, run_bench: Runner = bench.run) -> argparse.A
     train.add_parser(verbs).set_defaults(run=train.run)
     evaluate.add_parser(verbs).set_defaults(run=evaluate.run)
     materials.add_parser(verbs).set_defaults(run=materials.run)
-    export.add_parser(verbs).set_defaults(run=export.run)
+    export.add_parser(verbs).set_defaults(run=run_export)
     import_file.add_parser(verbs).set_defaults(run=import_file.run)
     bench.add_parser(verbs).set_defaults(run=run_bench)
     return parser
 
 
-def main(argv: Sequence[str], run_touch: Runner, run_bench: Runner = bench.run) -> int:
+def main(argv: Sequence[str], run_touch: Runner, run_bench: Runner = bench.run, run_export: Runner = export.run) -> int:
     """Parse argv (without the program's name), run the verb, and turn every outcome into an exit code."""
     try:
-        arguments = build_parser(run_touch, run_bench).parse_args(list(argv))
+        arguments = build_parser(run_touch, run_bench, run_export).parse_args(list(argv))
         return int(arguments.run(arguments))
     except SystemExit as stop:  # argparse's own way out: --help gives 0, wrong words give 2
         return stop.code if isinstance(stop.code, int) else 2
