@@ -166,12 +166,9 @@ class LiveSynthesis:
         for row, octave in enumerate(active):
             chain, span = noise.octaves[octave], slice(offset[row], offset[row + 1])
             mixed[:, span] = chain.mixed(pair[:, octave], int(low[row]), int(high[row] - low[row]))
-        first = offset[:-1, None] + cell - 1 - low[:, None]
-        here, after = np.zeros_like(t), np.zeros_like(t)
-        for tap, weight in enumerate(lagrange(t)):
-            here += weight * mixed[0, first + tap]
-            after += weight * mixed[1, first + tap]
-        return np.asarray((here * (1.0 - _SHARE) + after * _SHARE).sum(axis=0))
+        taps = np.arange(4)[:, None, None] + (offset[:-1, None] + cell - 1 - low[:, None])
+        here, after = (mixed[:, taps] * np.stack(lagrange(t))).sum(axis=(1, 2))
+        return np.asarray(here * (1.0 - _SHARE) + after * _SHARE)
 
     def _path(self) -> Float:
         """s (SAMPLES_PER_STATE,) from the state before to this one."""

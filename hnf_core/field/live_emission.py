@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..errors import UsageError
 from ..material.mechanics import PROBES, Mechanics
+from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M
 from .features import (
     DIRECTION_AT,
     MECHANICS_AT,
@@ -22,7 +23,6 @@ from .features import (
     encode_action,
     mechanics_columns,
     normalised_tokens,
-    seen_from,
 )
 from .field import LOG_AMPLITUDE_CEILING, Field
 from .linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, arc_gain
@@ -33,6 +33,9 @@ Float = NDArray[np.float64]
 Single = NDArray[np.float32]
 
 _START, _SHIFT = np.asarray(START_LOG)[:, None, None], np.asarray(SHIFTS)[:, None, None]
+_BANDS, _WIDTH = len(BAND_WAVELENGTHS_M), len(BAND_FEATURES)
+_MOMENTS_AT = np.concatenate([np.arange(_BANDS) * _WIDTH + BAND_FEATURES.index(name) for name in ("cos2", "cos4")])
+_FOLDS = np.repeat([2.0, 4.0], _BANDS)
 
 
 class LiveEmission:
@@ -53,6 +56,8 @@ class LiveEmission:
         self._token = np.array(token, dtype=np.float64)[None]
         self._x = np.zeros(self._layers[0][0].shape[1], dtype=np.float32)
         self._x[:MECHANICS_AT] = normalised_tokens(self._token)[0]
+        # normalised_tokens leaves moments of direction as they are, so that turning them here is features.seen_from.
+        self._moments = self._token[0, _MOMENTS_AT] + 1j * self._token[0, _MOMENTS_AT + 1]
         self._x[MECHANICS_AT:PROBE_AT] = mechanics_columns(mechanics)
         self._x[PROBE_AT:DIRECTION_AT] = [name == probe for name in PROBE_NAMES]
         self._linear: LiveLinear | None = None
@@ -68,7 +73,7 @@ class LiveEmission:
         moving = min(speed / SPEED_FLOOR_M_S, 1.0) * min(max(force, 0.0) / FORCE_FLOOR_N, 1.0) if contact else 0.0
         linear = None if self._linear is None else self._linear.at(angle, pace, load)
         time_power = None if linear is None else self._time.of(linear.power, pace)
-        hidden = self._input(direction, pace, load, linear, time_power)
+        hidden = self._input(direction, angle, pace, load, linear, time_power)
         for weight, bias in self._layers:
             hidden = np.maximum(weight @ hidden + bias, 0.0)
         sigma = np.logaddexp(0.0, (self._sigma[0] @ hidden + self._sigma[1]).astype(np.float64))
@@ -82,11 +87,18 @@ class LiveEmission:
         return alpha, sigma
 
     def _input(
-        self, direction: Float, pace: float, load: float, linear: LinearState | None, time_power: Float | None
+        self,
+        direction: Float,
+        angle: float,
+        pace: float,
+        load: float,
+        linear: LinearState | None,
+        time_power: Float | None,
     ) -> Single:
         config, x = self._config, self._x
         if config.stroke_frame:
-            x[:MECHANICS_AT] = normalised_tokens(seen_from(self._token, direction[None]))[0]
+            turn = np.exp(-1j * angle * _FOLDS) * self._moments
+            x[_MOMENTS_AT], x[_MOMENTS_AT + 1] = turn.real, turn.imag
         elif config.directed:
             x[DIRECTION_AT : DIRECTION_AT + 2] = direction
         at = DIRECTION_AT + 4

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from .carriers import ARC_BLOCK, ARC_PER_OCTAVE, ARC_STREAM, MODEL_RATE_HZ, TIME_BLOCK, Carriers
 from .linear_contact import BAND_END_HZ
-from .noise import crossfade_window, normal_block
+from .noise import WORD, crossfade_window
 from .timeline import SAMPLES_PER_STATE
 
 Float = NDArray[np.float64]
@@ -34,7 +34,7 @@ AUDIBLE_SOON = 1.5
 class Chain:
     """One family of noise bands, block by block; block j covers samples j·hop … j·hop + 2 hop.
 
-    edges: (B + 1,) cycles per block. seed, stream: of noise.normal_block.
+    edges: (B + 1,) cycles per block. seed, stream: of its numbers, see white_bins.
     """
 
     def __init__(self, seed: int, stream: int, edges: Float, size: int) -> None:
@@ -88,24 +88,35 @@ class Chain:
         return self._ready[index]
 
     def _begin(self, index: int) -> None:
-        bins = self._size // 2 + 1
-        numbers = normal_block(*self._key, index, 2 * bins)
-        self._making = index, np.empty((self.bands, self._size), np.float32), numbers[:bins] + 1j * numbers[bins:]
+        white = white_bins(*self._key, index, self._size // 2 + 1, self._starts[0], self._starts[-1])
+        self._making = index, np.empty((self.bands, self._size), np.float32), white
         self._made = 0
 
     def _advance(self, bands: int) -> None:
         assert self._making is not None
         index, waves, white = self._making
+        first = self._starts[0]
         for band in range(self._made, min(self._made + bands, self.bands)):
             low, high = self._starts[band : band + 2]
             spectrum = np.zeros(high, dtype=np.complex128)
-            spectrum[low:] = white[low:high] * (self._size / np.sqrt(4.0 * (high - low)))
+            spectrum[low:] = white[low - first : high - first] * (self._size / np.sqrt(4.0 * (high - low)))
             np.multiply(np.fft.irfft(spectrum, self._size), self._window, out=waves[band], casting="same_kind")
         self._made += bands
         if self._made >= self.bands:
             self._ready[index], self._making, self._owed = waves, None, 0.0
             while len(self._ready) > KEPT_BLOCKS:
                 del self._ready[max(self._ready, key=lambda other: abs(other - index))]
+
+
+def white_bins(seed: int, stream: int, block: int, bins: int, low: int, high: int) -> NDArray[np.complex128]:
+    """Bins low … high − 1 of the white spectrum that noise.band_spectra divides, without the others: (high − low,)."""
+    # As noise.normal_block, of which the first half holds real parts and the second imaginary ones, pair by pair.
+    bits = np.random.Philox(key=(seed & WORD) | ((stream & WORD) << 64), counter=(block & WORD) << 64)
+    raw = bits.random_raw(2 * bins)
+    radius, angle = (
+        ((raw[first + low : first + high] >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53 for first in (0, bins)
+    )
+    return np.asarray(np.sqrt(-2.0 * np.log(radius)) * np.exp(2j * np.pi * angle))
 
 
 class LiveNoise:

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-_WORD = 0xFFFF_FFFF_FFFF_FFFF
+WORD = 0xFFFF_FFFF_FFFF_FFFF
 
 
 def normal_block(seed: int, stream: int, block: int, count: int) -> NDArray[np.float64]:
@@ -17,7 +17,7 @@ def normal_block(seed: int, stream: int, block: int, count: int) -> NDArray[np.f
     counter set by the block, then Box–Muller on the raw words: numpy promises the raw words across versions, but not
     its own normal sampler, and the same seed must give the same bytes.
     """
-    bits = np.random.Philox(key=(seed & _WORD) | ((stream & _WORD) << 64), counter=(block & _WORD) << 64)
+    bits = np.random.Philox(key=(seed & WORD) | ((stream & WORD) << 64), counter=(block & WORD) << 64)
     pairs = (count + 1) // 2
     raw = bits.random_raw(2 * pairs)
     uniform = ((raw >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53
