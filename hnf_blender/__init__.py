@@ -9,7 +9,7 @@ import importlib
 from types import ModuleType
 from typing import Any
 
-ROOMS = ("translations", "props", "prefs", "jobs", "preview", "ops", "tool", "ui", "handlers")
+ROOMS = ("translations", "props", "prefs", "jobs", "actuator", "preview", "ops", "tool", "ui", "handlers")
 """Sub-modules with register() and unregister(), in order; each may use those before it."""
 
 _commands: list[Any] = []

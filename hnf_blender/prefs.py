@@ -17,11 +17,12 @@ from .translations import tr
 class Settings:
     """What holds where the add-on was not switched on through the preferences (tests, the command line).
 
-    overlay: draw strokes in the 3-D view. default_probe: of new strokes.
+    overlay: draw strokes in the 3-D view. default_probe: of new strokes. output: where strokes are played.
     """
 
     overlay: bool = True
     default_probe: str = "pen"
+    output: str = ""
 
 
 class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy has no types
@@ -37,6 +38,12 @@ class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy h
         description="What touches the surface where nothing else is said",
         items=[(name, name.capitalize(), f"Touch with the {name}") for name in PROBES],
         default=Settings.default_probe,
+    )
+    output: bpy.props.StringProperty(
+        name="Output",
+        description="Where strokes are played on this machine, as hnf stream takes it; empty: Blender's own sound. "
+        "Choose it in the Actuator panel",
+        default=Settings.output,
     )
 
     def draw(self, _context: Any) -> None:

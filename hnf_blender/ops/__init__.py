@@ -6,7 +6,20 @@ from typing import Any
 
 from ..rooms import classes_of, switch_off, switch_on
 
-MODULES = ("materials", "bake", "diagnose", "drop", "assets", "draw", "strokes", "force", "preview", "export")
+MODULES = (
+    "materials",
+    "bake",
+    "diagnose",
+    "drop",
+    "assets",
+    "draw",
+    "strokes",
+    "force",
+    "preview",
+    "actuator",
+    "live",
+    "export",
+)
 """Sub-modules, each with a tuple CLASSES."""
 
 _on: list[Any] = []

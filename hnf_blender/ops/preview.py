@@ -140,7 +140,7 @@ class HNF_OT_preview_ab(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
         from ..preview import current
 
         try:
-            current.play(name, context.scene)
+            current.go_on(name, context.scene)
         except HnfError as error:
             self.report({"WARNING"}, str(error))
 

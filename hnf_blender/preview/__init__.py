@@ -58,11 +58,13 @@ def _look(context: Any, timeline_plays: bool) -> None:
     global _seen
     import bpy
 
+    from .. import actuator
     from ..props.scene import active_stroke, actuator_of, strokes_of
     from ..state.redraw import redraw_tab
     from ..state.session import STATE
     from . import current
 
+    actuator.tick(context)
     scene, active = context.scene, active_stroke(context)
     heard = current.collect()
     settings = scene.hnf
@@ -97,16 +99,17 @@ def _look(context: Any, timeline_plays: bool) -> None:
 
 def _sound(context: Any, heard: set[str], timeline_plays: bool) -> None:
     """What was waited for is played; what sounds goes on as it is now."""
-    from hnf_core.errors import SceneError
+    from hnf_core.errors import HnfError
 
     from . import current
 
     if PREVIEW.play_when_ready in heard or PREVIEW.sounding in heard:
         name = PREVIEW.play_when_ready or PREVIEW.sounding
+        begin = current.play if PREVIEW.play_when_ready else current.go_on
         PREVIEW.play_when_ready = ""
         try:
-            current.play(name, context.scene)
-        except SceneError as error:
+            begin(name, context.scene)
+        except HnfError as error:
             PREVIEW.problems[name] = str(error)
         current.tell(name, context.scene)
     elif heard and timeline_plays and timeline.FOLLOWER.begun_at is not None:

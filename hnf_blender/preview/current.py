@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from ..actuator.sound import Sound
 from ..props.scene import actuator_of
 from ..state.session import STATE, Freshness
 from ..translations import tr
-from .device import Player
 from .facts import PREVIEW, PreviewFacts
+from .outputs import Outputs
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from hnf_core.actuators.profile import ActuatorProfile, Levels
 
     from .hearing import Heard
     from .pictures import Look
 
-PLAYER = Player()
+PLAYER = Outputs()
 KEPT_LEVELS = 16
 _levels: dict[tuple[str, ActuatorProfile], Levels] = {}
 NOT_TRUE = (Freshness.STALE, Freshness.BROKEN)
@@ -87,16 +92,27 @@ def collect() -> set[str]:
 
 
 def play(name: str, scene: Any) -> None:
-    """Sound a stroke's shown signal from its start. Raises SceneError without sound."""
-    from .monitor import to_monitor
+    """Sound a stroke's shown signal from its start. Raises HnfError without a device."""
+    _sound(name, scene, PLAYER.play)
 
+
+def go_on(name: str, scene: Any) -> None:
+    """A stroke that sounds goes on as it is shown now. Raises as play() does."""
+    _sound(name, scene, PLAYER.change)
+
+
+def _sound(name: str, scene: Any, begin: Callable[[Sound], None]) -> None:
     shown = PREVIEW.shown(name)
     if shown is None:
         return
-    samples = to_monitor(shown.signal.samples, scene.hnf.monitor_gain_db)
     PREVIEW.sounding = ""
-    PLAYER.play(samples, shown.signal.sample_rate, loop=scene.hnf.loop)
+    begin(sound_of(shown.signal.samples, shown.signal.sample_rate, scene, loop=bool(scene.hnf.loop)))
     PREVIEW.sounding = name
+
+
+def sound_of(samples: NDArray[np.float32], rate: float, scene: Any, *, loop: bool = False) -> Sound:
+    """Samples (n,) m/s² as this scene plays them."""
+    return Sound(samples, rate, actuator_of(scene), loop, float(scene.hnf.monitor_gain_db))
 
 
 def stop() -> None:

@@ -10,15 +10,26 @@ from numpy.typing import NDArray
 
 from hnf_core.errors import SceneError
 
+from ..actuator.sound import Sound
+from .monitor import to_monitor
 
-class Player:
-    """One sound at a time."""
+
+class Speakers:
+    """A Player on Blender's sound device, at the monitor's gain."""
 
     def __init__(self) -> None:
         self._device: Any = None
         self._handle: Any = None
 
-    def play(self, samples: NDArray[np.float32], rate: float, *, loop: bool = False) -> None:
+    def play(self, sound: Sound) -> None:
+        """Raises SceneError without a sound device."""
+        begin = round(sound.start_s * sound.rate)
+        self.sound(to_monitor(sound.samples[begin:], sound.gain_db), sound.rate, loop=sound.loop)
+
+    def change(self, sound: Sound) -> None:
+        self.play(sound)
+
+    def sound(self, samples: NDArray[np.float32], rate: float, *, loop: bool = False) -> None:
         """Sound samples (n, channels), −1 … 1, from now on, in place of what sounds. Raises SceneError without a
         sound device."""
         self.stop()
@@ -45,6 +56,10 @@ class Player:
     @property
     def is_playing(self) -> bool:
         return self._handle is not None and bool(self._handle.status)
+
+    @property
+    def is_sounding(self) -> bool:
+        return self.is_playing
 
     @property
     def position_s(self) -> float:

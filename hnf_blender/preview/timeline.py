@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .facts import PREVIEW
+
+if TYPE_CHECKING:
+    from ..actuator.sound import Sound
+
+SCRUB_S = 0.06
+"""Of a stroke that is felt where the playhead is dragged to, or a frame where that is longer."""
 
 
 class Follower:
@@ -17,25 +23,22 @@ class Follower:
 
     def start(self, scene: Any) -> None:
         """Sound what lies ahead of the present frame. Nothing where sound is missing: the timeline plays on."""
-        from hnf_core.errors import SceneError
+        from hnf_core.errors import HnfError
 
         from .current import PLAYER
-        from .monitor import to_monitor
-        from .placement import Clock, mix
 
         self.begun_at, self.scene = None, scene.name
         if not scene.hnf.follow_timeline:
             return
-        clock = Clock(float(scene.render.fps), float(scene.render.fps_base))
-        frame, placed = float(scene.frame_current_final), placed_strokes(scene)
         last = scene.frame_preview_end if scene.use_preview_range else scene.frame_end
         PREVIEW.sounding = ""
-        PLAYER.stop()
-        self.begun_at = frame
-        samples = mix(placed, frame, float(last), clock)
-        if len(samples):
-            with contextlib.suppress(SceneError):
-                PLAYER.play(to_monitor(samples, scene.hnf.monitor_gain_db), placed[0].rate)
+        self.begun_at = float(scene.frame_current_final)
+        ahead = sound_ahead(scene, float(last))
+        if ahead is None:
+            PLAYER.stop()
+            return
+        with contextlib.suppress(HnfError):
+            PLAYER.play(ahead)
 
     def stop(self) -> None:
         from .current import PLAYER
@@ -54,11 +57,40 @@ class Follower:
         clock = Clock(float(scene.render.fps), float(scene.render.fps_base))
         frame = float(scene.frame_current_final)
         went_back = frame < self.begun_at
-        if went_back or (PLAYER.is_playing and has_jumped(frame, PLAYER.position_s, self.begun_at, clock)):
+        if went_back or (PLAYER.is_sounding and has_jumped(frame, PLAYER.position_s, self.begun_at, clock)):
             self.start(scene)
+
+    def scrub(self, scene: Any) -> None:
+        """The playhead was dragged to another frame: feel the moment there, on an actuator alone. Speakers are left to
+        Blender's own scrubbing."""
+        from hnf_core.errors import HnfError
+
+        from ..actuator.choice import chosen_output
+        from ..actuator.state import SPEAKERS
+        from .current import PLAYER
+
+        if chosen_output() == SPEAKERS or not scene.hnf.follow_timeline:
+            return
+        frames = max(1.0, SCRUB_S * scene.render.fps / scene.render.fps_base)
+        moment = sound_ahead(scene, float(scene.frame_current_final) + frames - 1.0)
+        if moment is not None:
+            PREVIEW.sounding = ""
+            with contextlib.suppress(HnfError):
+                PLAYER.play(moment)
 
 
 FOLLOWER = Follower()
+
+
+def sound_ahead(scene: Any, last_frame: float) -> Sound | None:
+    """What sounds from the present frame to the end of last_frame; None where nothing does."""
+    from .current import sound_of
+    from .placement import Clock, mix
+
+    clock = Clock(float(scene.render.fps), float(scene.render.fps_base))
+    placed = placed_strokes(scene)
+    samples = mix(placed, float(scene.frame_current_final), last_frame, clock)
+    return sound_of(samples, placed[0].rate, scene) if len(samples) else None
 
 
 def placed_strokes(scene: Any) -> list[Any]:
@@ -87,4 +119,11 @@ def playback_ends(_scene: Any, _depsgraph: Any = None) -> None:
 
 def frame_shown(scene: Any, _depsgraph: Any = None) -> None:
     """frame_change_post."""
-    FOLLOWER.follow(scene)
+    import bpy
+
+    if FOLLOWER.begun_at is not None:
+        FOLLOWER.follow(scene)
+        return
+    windows = bpy.context.window_manager.windows
+    if any(window.screen.is_scrubbing and window.scene.name == scene.name for window in windows):
+        FOLLOWER.scrub(scene)

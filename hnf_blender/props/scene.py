@@ -10,6 +10,7 @@ from hnf_core.actuators.profile import GENERIC, OWN, PROFILES, ActuatorProfile, 
 
 from ..compat import beside_the_file
 from .overriding import OVERRIDABLE
+from .stroke import FORCE_MAX_N
 
 
 class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no types
@@ -78,6 +79,26 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
         min=1.0,
         max=5000.0,
         precision=0,
+        override=OVERRIDABLE,
+    )
+    live_pen_n: bpy.props.FloatProperty(
+        name="Live force of the pen",
+        description="Normal force in newtons at full pen pressure, while a live touch follows the pen",
+        default=3.0,
+        min=0.01,
+        max=FORCE_MAX_N,
+        soft_max=5.0,
+        precision=2,
+        override=OVERRIDABLE,
+    )
+    live_mouse_n: bpy.props.FloatProperty(
+        name="Live force of the mouse",
+        description="Normal force in newtons while a live touch follows a mouse, whose button knows no pressure",
+        default=1.0,
+        min=0.01,
+        max=FORCE_MAX_N,
+        soft_max=5.0,
+        precision=2,
         override=OVERRIDABLE,
     )
     export_folder: bpy.props.StringProperty(

@@ -73,19 +73,8 @@ class Pen:
         return self._travelled_px < CLICK_PX
 
     def region_under(self, context: Any, event: Any) -> Any:
-        """The main region of the 3-D view under the pen, or None; not where a sidebar or header lies over it."""
-        found = None
-        for area in context.window.screen.areas if context.window is not None else ():
-            for region in area.regions if area.type == "VIEW_3D" else ():
-                inside = (
-                    region.x <= event.mouse_x < region.x + region.width
-                    and region.y <= event.mouse_y < region.y + region.height
-                )
-                if inside and region.type == "WINDOW":
-                    found = region
-                elif inside and region.width > 1 and region.height > 1:
-                    return None
-        return found
+        """See region_under() below."""
+        return region_under(context, event)
 
     def press(self, context: Any, event: Any, region: Any) -> bool:
         """Begin in a region of a 3-D view; False, with why_not, where there is nothing to touch."""
@@ -180,18 +169,7 @@ class Pen:
         return float(event.pressure)
 
     def _cast(self, context: Any, x: float, y: float) -> Any:
-        from bpy_extras import view3d_utils
-
-        space = self._area.spaces.active
-        region_data = self._region.data
-        at = (x, y)
-        return cast_on_surface(
-            context.scene,
-            context.evaluated_depsgraph_get(),
-            space,
-            view3d_utils.region_2d_to_origin_3d(self._region, region_data, at),
-            view3d_utils.region_2d_to_vector_3d(self._region, region_data, at),
-        )
+        return surface_under(context, self._area, self._region, (x, y))
 
     def _tell(self, context: Any) -> None:
         force = self._force_at(self._pressure[-1], self._is_pen)
@@ -224,3 +202,32 @@ class Pen:
             gpu.matrix.multiply_matrix(surface.matrix_world)
             batch.draw(shader)
         gpu.state.blend_set("NONE")
+
+
+def region_under(context: Any, event: Any) -> Any:
+    """The main region of the 3-D view under the pen, or None; not where a sidebar or header lies over it."""
+    found = None
+    for area in context.window.screen.areas if context.window is not None else ():
+        for region in area.regions if area.type == "VIEW_3D" else ():
+            inside = (
+                region.x <= event.mouse_x < region.x + region.width
+                and region.y <= event.mouse_y < region.y + region.height
+            )
+            if inside and region.type == "WINDOW":
+                found = region
+            elif inside and region.width > 1 and region.height > 1:
+                return None
+    return found
+
+
+def surface_under(context: Any, area: Any, region: Any, at: tuple[float, float]) -> Any:
+    """What the pen meets at a place of a region of a 3-D view, in its pixels: a Hit, or None."""
+    from bpy_extras import view3d_utils
+
+    return cast_on_surface(
+        context.scene,
+        context.evaluated_depsgraph_get(),
+        area.spaces.active,
+        view3d_utils.region_2d_to_origin_3d(region, region.data, at),
+        view3d_utils.region_2d_to_vector_3d(region, region.data, at),
+    )

@@ -1,4 +1,4 @@
-"""Actuator: which device the level is shown against, and what its maker or its owner says of it."""
+"""Actuator: the device strokes are made for, where they are played, and how it fares."""
 
 from __future__ import annotations
 
@@ -8,9 +8,19 @@ import bpy
 
 from hnf_core.actuators.profile import OWN, ActuatorProfile
 
+from ..actuator.choice import chosen_output, outputs, plays_whole, title_of
+from ..actuator.state import ACTUATOR, SPEAKERS, ActuatorFacts, Phase
 from ..props.scene import actuator_of
 from ..translations import tr
-from .layout import TouchPanel, paragraph
+from .layout import TouchPanel, hint, named, paragraph, side_by_side
+
+PHASES = {
+    Phase.OFF: ("RADIOBUT_OFF", "Not used yet"),
+    Phase.OPENING: ("SORTTIME", "Connecting"),
+    Phase.READY: ("RADIOBUT_ON", "Silent; the device is free for others"),
+    Phase.PLAYING: ("PLAY", "Playing"),
+    Phase.LIVE: ("BRUSH_DATA", "Follows the pen"),
+}
 
 
 def profile_lines(profile: ActuatorProfile) -> tuple[str, ...]:
@@ -36,12 +46,13 @@ class HNF_PT_actuator(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noq
         layout.prop(settings, "actuator", text="")
         if settings.actuator == OWN:
             draw_own(layout, settings)
-            return
-        profile = actuator_of(context.scene)
-        column = layout.column(align=True)
-        for line in profile_lines(profile):
-            paragraph(column, context, line, icon="DOT")
-        paragraph(layout, context, tr("Source: {source}").format(source=profile.source), icon="INFO")
+        else:
+            profile = actuator_of(context.scene)
+            column = layout.column(align=True)
+            for line in profile_lines(profile):
+                paragraph(column, context, line, icon="DOT")
+            paragraph(layout, context, tr("Source: {source}").format(source=profile.source), icon="INFO")
+        draw_output(layout, context)
 
 
 def draw_own(layout: Any, settings: Any) -> None:
@@ -52,4 +63,73 @@ def draw_own(layout: Any, settings: Any) -> None:
     column.prop(settings, "own_highest_hz", text="Highest (Hz)")
 
 
-CLASSES = (HNF_PT_actuator,)
+def draw_output(layout: Any, context: Any) -> None:
+    """Where strokes are played, and what can be done there."""
+    target = chosen_output(context)
+    column = layout.column(align=True)
+    column.label(text="Played on")
+    row = column.row(align=True)
+    icon = "SPEAKER" if target == SPEAKERS else "FORCE_HARMONIC"
+    row.menu("HNF_MT_output", text=named(context, title_of(target, context), taken=8), icon=icon)
+    row.operator("hnf.actuator_find", text="", icon="FILE_REFRESH")
+    if ACTUATOR.seeking:
+        paragraph(layout, context, tr("Looking for devices"), icon="SORTTIME")
+    for line in ACTUATOR.missing:
+        paragraph(layout, context, line, icon="INFO")
+    if target == SPEAKERS:
+        hint(layout, context, tr("For your ears: the actuator's limits are not kept on speakers"))
+        return
+    if plays_whole(target):
+        hint(layout, context, tr("Through Blender's own sound, with the limits kept. Live touch needs sounddevice"))
+        return
+    facts = ACTUATOR.facts
+    row = side_by_side(layout, context)
+    row.operator("hnf.actuator_test", text="Test", icon="IPO_EASE_IN_OUT")
+    row.operator("hnf.preview_stop", text="Stop", icon="SNAP_FACE")
+    draw_status(layout, context, facts)
+    draw_live(layout, context, facts)
+
+
+def draw_status(layout: Any, context: Any, facts: ActuatorFacts) -> None:
+    """How it fares: state, level, figures, and what went wrong."""
+    icon, text = PHASES[facts.phase]
+    column = layout.column(align=True)
+    column.label(text=tr(text), icon=icon, translate=False)
+    if facts.phase in (Phase.PLAYING, Phase.LIVE):
+        level = tr("{level} m/s²").format(level=f"{facts.level_m_s2:.2g}")
+        column.progress(factor=facts.share, text=level)
+    for line in facts.lines:
+        paragraph(column, context, line, icon="DOT")
+    if facts.problem:
+        box = layout.box()
+        box.alert = True
+        paragraph(box, context, facts.problem, icon="ERROR")
+
+
+def draw_live(layout: Any, context: Any, facts: ActuatorFacts) -> None:
+    """Touching by hand, and how hard."""
+    settings = context.scene.hnf
+    column = layout.column(align=True)
+    live = facts.phase is Phase.LIVE
+    column.operator("hnf.live_touch", text="Live Touch", icon="BRUSH_DATA", depress=live)
+    row = side_by_side(column, context)
+    row.prop(settings, "live_pen_n", text="Pen (N)")
+    row.prop(settings, "live_mouse_n", text="Mouse (N)")
+    if live:
+        paragraph(column, context, tr("Drag over a surface to feel it. Esc ends"), icon="INFO")
+
+
+class HNF_MT_output(bpy.types.Menu):  # type: ignore[misc]  # noqa: N801
+    bl_label = "Output"
+
+    def draw(self, context: Any) -> None:
+        layout, chosen = self.layout, chosen_output(context)
+        for each in outputs(context):
+            icon = "RADIOBUT_ON" if each.target == chosen else "RADIOBUT_OFF"
+            layout.operator("hnf.output_choose", text=each.title, icon=icon, translate=False).target = each.target
+        layout.separator()
+        layout.operator("hnf.actuator_find", text="Look for Devices", icon="FILE_REFRESH")
+        layout.operator("hnf.output_other", text="Another Address…", icon="GREASEPENCIL")
+
+
+CLASSES = (HNF_PT_actuator, HNF_MT_output)

@@ -6,6 +6,7 @@ from typing import Any
 
 import bpy
 
+from ..actuator.state import ACTUATOR
 from ..preview.facts import PreviewFacts, preview_facts, preview_icon
 from ..props.scene import active_stroke, strokes_of
 from ..state.session import STATE, Freshness
@@ -49,6 +50,10 @@ class HNF_PT_preview(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa
         else:
             row.operator("hnf.preview_play", text="Play", icon="PLAY")
         row.prop(context.scene.hnf, "loop", text="", icon="FILE_REFRESH")
+        if ACTUATOR.facts.problem:
+            box = layout.box()
+            box.alert = True
+            paragraph(box, context, ACTUATOR.facts.problem, icon="ERROR")
         if facts is None or not is_baked(stroke.name):
             hint(layout, context, tr("Bake this stroke to see and hear it"))
             return

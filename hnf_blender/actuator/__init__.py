@@ -1,0 +1,73 @@
+"""The actuator: where strokes are felt, the process that plays there, and a hand that touches live."""
+
+from __future__ import annotations
+
+import atexit
+import sys
+import time
+from typing import Any
+
+REDRAW_S = 0.2
+"""Least time between two pictures of a level that moves."""
+
+_shown_at = 0.0
+
+
+def tick(context: Any) -> None:
+    """Called by the preview's timer: take in what the processes said, tell the panel. Two comparisons while none
+    runs."""
+    global _shown_at
+    from ..props.scene import actuator_of
+    from ..state.redraw import redraw_tab
+    from .facts import facts_of, phase_of
+    from .finding import FINDER
+    from .link import LINK
+    from .state import ACTUATOR
+
+    found = FINDER.tick()
+    told = LINK.tick()
+    if told or (ACTUATOR.facts.phase, ACTUATOR.facts.problem) != (phase_of(LINK), LINK.problem):
+        facts = facts_of(LINK, actuator_of(context.scene))
+        at_once = (facts.phase, facts.problem) != (ACTUATOR.facts.phase, ACTUATOR.facts.problem)
+        ACTUATOR.facts = facts
+        if at_once or time.monotonic() - _shown_at > REDRAW_S:
+            found = True
+    if found:
+        _shown_at = time.monotonic()
+        redraw_tab()
+
+
+def leave_file(*_: Any) -> None:
+    """load_pre: what is felt belongs to the file that is left."""
+    from .link import LINK
+
+    LINK.release()
+
+
+def _stop() -> None:
+    """End what was begun; what was never begun is not imported for it."""
+    if f"{__name__}.link" in sys.modules:
+        from .link import LINK
+
+        LINK.release()
+    if f"{__name__}.finding" in sys.modules:
+        from .finding import FINDER
+
+        FINDER.end()
+
+
+def register() -> None:
+    import bpy
+
+    atexit.register(_stop)
+    if not bpy.app.background:
+        bpy.app.handlers.load_pre.append(bpy.app.handlers.persistent(leave_file))
+
+
+def unregister() -> None:
+    import bpy
+
+    atexit.unregister(_stop)
+    if leave_file in bpy.app.handlers.load_pre:
+        bpy.app.handlers.load_pre.remove(leave_file)
+    _stop()

@@ -1,0 +1,58 @@
+"""What a Link was told → what the panel says of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hnf_core.actuators.profile import ActuatorProfile
+
+from ..translations import tr
+from .state import ActuatorFacts, Phase
+
+if TYPE_CHECKING:
+    from .link import Link
+
+
+def facts_of(link: Link, profile: ActuatorProfile) -> ActuatorFacts:
+    """profile: whose limits the level is shown in."""
+    phase = phase_of(link)
+    heard = link.newest
+    if heard is None or phase is Phase.OFF:
+        return ActuatorFacts(phase, problem=link.problem)
+    status, limits = heard.status, profile.limits
+    most = limits.full_scale_m_s2 * limits.peak
+    level = status.level_m_s2 if phase in (Phase.PLAYING, Phase.LIVE) else 0.0
+    return ActuatorFacts(phase, level, min(level / most, 1.0), lines_of(link), link.problem)
+
+
+def phase_of(link: Link) -> Phase:
+    if not link.is_running:
+        return Phase.OFF
+    if not link.is_playing:
+        return Phase.READY
+    if link.newest is None:
+        return Phase.OPENING
+    return Phase.LIVE if link.is_live else Phase.PLAYING
+
+
+def lines_of(link: Link) -> tuple[str, ...]:
+    """What was told of the newest play, one thought a line; what is as it should be is not mentioned."""
+    heard, began = link.newest, link.began
+    if heard is None:
+        return ()
+    status, lines = heard.status, []
+    if began is not None and began.play == status.play:
+        said = tr("{device}, {rate} Hz, owes {queue} ms at most")
+        lines.append(said.format(device=began.device, rate=f"{began.rate_hz:g}", queue=f"{began.queue_ms:.0f}"))
+    lines.append(tr("Highest so far: {share} of full scale").format(share=f"{status.peak:.0%}"))
+    if status.temperature_c is not None:
+        lines.append(tr("Coil at {temperature} °C").format(temperature=f"{status.temperature_c:.1f}"))
+    if status.limited:
+        lines.append(tr("{count} samples were held back by the limits").format(count=status.limited))
+    if status.nonfinite:
+        lines.append(tr("{count} samples were no numbers: played as 0").format(count=status.nonfinite))
+    if status.underruns:
+        lines.append(tr("Samples came too late {count} times").format(count=status.underruns))
+    if link.is_live and status.latency_p99_ms > 0.0:
+        lines.append(tr("Made {latency} ms before they leave").format(latency=f"{status.latency_p99_ms:.0f}"))
+    return tuple(lines)

@@ -1,0 +1,77 @@
+"""Looking for devices, in a process of its own: sound systems take their time, print what they like, and see a device
+that was plugged in later only when they are started anew."""
+
+from __future__ import annotations
+
+import json
+import time
+
+from hnf_core.errors import FileError
+
+from ..translations import tr
+from .process import Process, commands
+from .state import ACTUATOR, Output
+from .worker import DEVICES, UNFIT
+
+LIMIT_S = 20.0
+"""A driver that has not answered by then will not."""
+
+
+class Finder:
+    """One search at a time."""
+
+    def __init__(self) -> None:
+        self._process: Process | None = None
+        self._ways: list[list[str]] = []
+        self._until = 0.0
+
+    def look(self) -> None:
+        """Begin to look; ACTUATOR has the outcome some ticks later. Raises DeviceError where no process can be
+        started."""
+        if self._process is not None:
+            return
+        self._ways = list(commands(DEVICES, ()))
+        self._process = Process(self._ways.pop(0))
+        self._until = time.monotonic() + LIMIT_S
+        ACTUATOR.seeking = True
+
+    def tick(self) -> bool:
+        """True where the search has ended."""
+        process = self._process
+        if process is None:
+            return False
+        code = process.exit_code()
+        if code is None and time.monotonic() < self._until:
+            return False
+        if code == UNFIT and self._ways:
+            self._process = Process(self._ways.pop(0))
+            return False
+        self.end()
+        said = [line for line in process.lines() if line.startswith("{")]
+        try:
+            take(said[-1] if said else "")
+        except FileError as error:
+            why = process.last_line or str(error)
+            ACTUATOR.missing = (tr("Devices could not be looked for: {why}").format(why=why),)
+        return True
+
+    def end(self) -> None:
+        if self._process is not None:
+            self._process.close()
+            self._process = None
+        ACTUATOR.seeking = False
+
+
+def take(line: str) -> None:
+    """ACTUATOR as the search says it is. Raises FileError where the line is none of worker.tell_devices()."""
+    try:
+        found = json.loads(line)
+        outputs = tuple(Output(str(each["target"]), str(each["title"])) for each in found["devices"])
+        missing = {str(name): str(why) for name, why in dict(found["missing"]).items()}
+    except (ValueError, KeyError, TypeError) as error:
+        raise FileError("the search for devices gave no answer.", remedy="Look again.") from error
+    ACTUATOR.outputs, ACTUATOR.looked = outputs, True
+    ACTUATOR.without, ACTUATOR.missing = frozenset(missing), tuple(missing.values())
+
+
+FINDER = Finder()

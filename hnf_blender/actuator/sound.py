@@ -1,0 +1,61 @@
+"""What is to be felt or heard, and the one small interface of what plays it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.actuators.profile import ActuatorProfile
+
+
+@dataclass(frozen=True, eq=False)
+class Sound:
+    """samples: (n,) float32 m/s² at rate Hz. profile: of the actuator, whose limits hold on an actuator. loop: over and
+    over. gain_db: of the monitor; speakers alone follow it. start_s: where it begins."""
+
+    samples: NDArray[np.float32]
+    rate: float
+    profile: ActuatorProfile
+    loop: bool = False
+    gain_db: float = 0.0
+    start_s: float = 0.0
+
+    @property
+    def duration_s(self) -> float:
+        return len(self.samples) / self.rate
+
+
+class Player(Protocol):
+    """One sound at a time. Every call returns at once."""
+
+    def play(self, sound: Sound) -> None:
+        """Play from sound.start_s on, in place of what plays. Raises HnfError where there is no device."""
+        ...
+
+    def change(self, sound: Sound) -> None:
+        """What plays goes on as this sound. Raises as play() does."""
+        ...
+
+    def stop(self) -> None: ...
+
+    @property
+    def is_playing(self) -> bool:
+        """From play() on until it has ended, was stopped, or could not be played."""
+        ...
+
+    @property
+    def is_sounding(self) -> bool:
+        """It plays, and samples leave for the device: position_s holds."""
+        ...
+
+    @property
+    def position_s(self) -> float:
+        """Seconds into the sound, 0 where none plays."""
+        ...
+
+    def release(self) -> None:
+        """Silence, and the device given back."""
+        ...

@@ -1,0 +1,60 @@
+"""What the panel shows of the actuator, and what is chosen where Blender keeps no preferences. Reading it computes
+nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+SPEAKERS = ""
+"""The output that is no actuator: Blender's own sound device."""
+VIRTUAL = "virtual"
+
+
+class Phase(Enum):
+    """OFF: no player runs. OPENING: it starts, or takes the device. READY: it runs and holds no device. PLAYING. LIVE:
+    it follows the pen."""
+
+    OFF = "off"
+    OPENING = "opening"
+    READY = "ready"
+    PLAYING = "playing"
+    LIVE = "live"
+
+
+@dataclass(frozen=True)
+class Output:
+    """A way to a device. target: as `hnf stream --to` takes it. title: what it calls itself."""
+
+    target: str
+    title: str
+
+
+@dataclass(frozen=True)
+class ActuatorFacts:
+    """level_m_s2: RMS of the last moment. share: of it in what may leave at most, 0 to 1. lines: figures in words.
+    problem: why nothing sounds, one sentence, "" = none."""
+
+    phase: Phase = Phase.OFF
+    level_m_s2: float = 0.0
+    share: float = 0.0
+    lines: tuple[str, ...] = ()
+    problem: str = ""
+
+
+@dataclass
+class ActuatorState:
+    """chosen: target where there are no preferences to keep it. outputs: devices as last looked for; looked: whether
+    they were; seeking: they are looked for now. without: Python packages that are not there or cannot be loaded;
+    missing: the same in sentences."""
+
+    chosen: str = SPEAKERS
+    outputs: tuple[Output, ...] = ()
+    looked: bool = False
+    seeking: bool = False
+    without: frozenset[str] = frozenset()
+    missing: tuple[str, ...] = ()
+    facts: ActuatorFacts = ActuatorFacts()
+
+
+ACTUATOR = ActuatorState()

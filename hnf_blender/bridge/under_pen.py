@@ -1,0 +1,97 @@
+"""What a pen meets on a surface: where it is in the surface's own frame, which way its axes lie, what is felt there.
+
+Looked up face by face in the evaluated mesh as it is, without a copy: a hand moves a hundred times a second.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.action.contacts import tangents
+from hnf_core.material.hnf_file import MaterialFile, completed, from_library
+from hnf_core.material.library import find, load_library
+from hnf_core.material.material import LibraryMaterial
+from hnf_core.material.prior import rank
+from hnf_core.material.token import TOKEN_DIM, Token
+
+from .drawn_stroke import Hit
+from .meshes import cofactors, materials_of, surface_frame
+from .own_material import own_word
+from .storage import TOKEN_ATTRIBUTE, read_tokens
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """point: (3,) m in the surface frame. axes: (2, 3) unit, ∂p/∂u laid on the face and the normal × it: the frame that
+    stroke directions and tactile maps have there. slot, token: material slot, and palette index of the bake (−1: not
+    baked)."""
+
+    point: Float
+    axes: Float
+    slot: int
+    token: int
+
+
+def meeting(hit: Hit, depsgraph: Any, metres_per_unit: float) -> Meeting:
+    """The place that a ray met. Raises SceneError where its object is scaled to nothing."""
+    evaluated = hit.obj.evaluated_get(depsgraph)
+    mesh = evaluated.data
+    _, stretch = surface_frame(evaluated.matrix_world, metres_per_unit, f"object '{hit.obj.name}'")
+    face = mesh.polygons[hit.face]
+    normal = cofactors(stretch) @ np.array(face.normal) * np.sign(np.linalg.det(stretch))
+    length = float(np.linalg.norm(normal))
+    normal = normal / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
+    loops = list(face.loop_indices)[:3]
+    corners = np.array([mesh.vertices[mesh.loops[loop].vertex_index].co for loop in loops]) @ stretch.T
+    layer = next((layer for layer in mesh.uv_layers if layer.active_render), None)
+    uv = None if layer is None else np.array([[layer.uv[loop].vector for loop in loops]], dtype=np.float64)
+    (along,), _ = tangents(corners[None], uv, normal[None])
+    token = mesh.attributes.get(TOKEN_ATTRIBUTE)
+    is_kept = token is not None and token.domain == "FACE" and token.data_type == "INT"
+    return Meeting(
+        stretch @ hit.local,
+        np.stack([along, np.cross(normal, along)]),
+        int(face.material_index),
+        int(token.data[hit.face].value) if is_kept else -1,
+    )
+
+
+def felt_there(obj: Any, depsgraph: Any, slot: int, token: int) -> MaterialFile:
+    """What a slot of obj feels like, complete: what was baked there, unless another material was chosen since; else
+    the artist's choice; else what the slot's shader looks like most.
+
+    Raises MaterialError for a choice that the library does not know, FileError for a damaged definition.
+    """
+    materials = materials_of(obj.evaluated_get(depsgraph), obj.evaluated_get(depsgraph).data)
+    shader = materials[slot] if slot < len(materials) else None
+    word = own_word(shader) if shader is not None else ""
+    chosen = completed(word) if isinstance(word, MaterialFile) else find(word) if word else None
+    baked = _baked(obj, token)
+    if baked is not None and (chosen is None or chosen.name == baked.name):
+        return baked
+    return from_library(chosen or _likely(obj, shader))
+
+
+def _baked(obj: Any, token: int) -> MaterialFile | None:
+    kept = read_tokens(obj.data) if token >= 0 else None
+    if kept is None or token >= len(kept.palette):
+        return None
+    palette = kept.palette
+    known = np.ones(TOKEN_DIM, dtype=bool)
+    return MaterialFile(palette.names[token], Token(palette.tokens[token], known), palette.mechanics[token])
+
+
+def _likely(obj: Any, shader: Any) -> LibraryMaterial:
+    from hnf_core.material.material import Appearance
+
+    from .shader_values import stated_appearance
+
+    looks = Appearance() if shader is None else stated_appearance(shader)
+    names = [*([] if shader is None else [shader.name]), obj.name, obj.data.name]
+    return find(rank(load_library(), looks, names)[0].name)

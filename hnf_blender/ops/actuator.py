@@ -1,0 +1,128 @@
+"""Where strokes are played: choose it, look for devices, test it."""
+
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
+from typing import Any
+
+import bpy
+
+from hnf_core.errors import HnfError
+
+from ..actuator.choice import choose_output, chosen_output, plays_whole, title_of
+from ..actuator.state import SPEAKERS
+from ..props.scene import actuator_of
+from ..state.redraw import redraw_tab
+from ..translations import tr
+from .active import one_line
+
+NO_ACTUATOR = "Strokes are played on speakers: choose an actuator in the Actuator panel"
+NOT_LIVE = "Through Blender's own sound nothing can be played live: install sounddevice"
+
+
+def needs_actuator(cls: Any, context: Any) -> bool:
+    """For poll(): True where an actuator is chosen that can be driven, else says why greyed."""
+    target = chosen_output(context)
+    if target == SPEAKERS:
+        cls.poll_message_set(NO_ACTUATOR)
+        return False
+    if plays_whole(target):
+        cls.poll_message_set(NOT_LIVE)
+        return False
+    return True
+
+
+class HNF_OT_output_choose(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types
+    bl_idname = "hnf.output_choose"
+    bl_label = "Play Here"
+    bl_description = "Strokes are played on this device, on this machine. The choice is kept in the preferences"
+
+    target: bpy.props.StringProperty(
+        name="Target", description="As hnf stream takes it; empty: Blender's own sound", options={"SKIP_SAVE"}
+    )
+
+    def execute(self, _context: Any) -> set[str]:
+        from ..actuator.link import LINK
+        from ..preview import current
+
+        if self.target != chosen_output():
+            current.stop()
+            LINK.release()
+            choose_output(str(self.target))
+        redraw_tab()
+        return {"FINISHED"}
+
+
+class HNF_OT_output_other(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.output_other"
+    bl_label = "Another Address"
+    bl_description = "Play on a device that no search finds, such as a program that listens to OSC"
+
+    target: bpy.props.StringProperty(
+        name="Target",
+        description="As hnf stream takes it: serial:PORT, serial:PORT@BAUD, audio:DEVICE, osc:HOST:PORT or virtual",
+        default="osc:127.0.0.1:9000",
+    )
+
+    def invoke(self, context: Any, _event: Any) -> set[str]:
+        kind = context.window_manager.invoke_props_dialog(self, width=360)
+        return set(kind)
+
+    def execute(self, _context: Any) -> set[str]:
+        from hnf_core.actuators.targets import sink_of
+
+        try:
+            sink_of(str(self.target))
+        except HnfError as error:
+            self.report({"WARNING"}, one_line(error))
+            return {"CANCELLED"}
+        return set(bpy.ops.hnf.output_choose(target=self.target))
+
+
+class HNF_OT_actuator_find(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.actuator_find"
+    bl_label = "Look for Devices"
+    bl_description = "List the serial ports and sound outputs of this machine, in a process of its own"
+
+    def execute(self, _context: Any) -> set[str]:
+        from ..actuator.finding import FINDER
+
+        try:
+            FINDER.look()
+        except HnfError as error:
+            self.report({"WARNING"}, one_line(error))
+            return {"CANCELLED"}
+        redraw_tab()
+        return {"FINISHED"}
+
+
+class HNF_OT_actuator_test(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.actuator_test"
+    bl_label = "Test"
+    bl_description = "One second of a soft sweep through the actuator's range, at a tenth of its largest level"
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return needs_actuator(cls, context)
+
+    def execute(self, context: Any) -> set[str]:
+        from ..actuator.sweep import sweep
+        from ..preview import current
+        from ..preview.facts import PREVIEW
+
+        PREVIEW.sounding = PREVIEW.play_when_ready = ""
+        try:
+            current.PLAYER.play(sweep(actuator_of(context.scene)))
+        except HnfError as error:
+            self.report({"WARNING"}, one_line(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, tr("A soft sweep on {device}").format(device=title_of(chosen_output(context))))
+        redraw_tab()
+        return {"FINISHED"}
+
+
+CLASSES = (
+    HNF_OT_output_choose,
+    HNF_OT_output_other,
+    HNF_OT_actuator_find,
+    HNF_OT_actuator_test,
+)

@@ -1,0 +1,68 @@
+"""The player that the artist chose: speakers, an actuator, or a sound card with an actuator behind it where nothing but
+Blender's own sound is there."""
+
+from __future__ import annotations
+
+from ..actuator.sound import Player, Sound
+from .device import Speakers
+
+
+class Outputs:
+    """A Player that asks at every play() which output is chosen. Only one of them sounds."""
+
+    def __init__(self) -> None:
+        self._speakers = Speakers()
+        self._playing: Player = self._speakers
+
+    def play(self, sound: Sound) -> None:
+        wanted = self._wanted()
+        if wanted is not self._playing:
+            self._playing.stop()
+            self._playing = wanted
+        wanted.play(sound)
+
+    def change(self, sound: Sound) -> None:
+        if self._playing.is_playing and self._wanted() is self._playing:
+            self._playing.change(sound)
+        else:
+            self.play(sound)
+
+    def stop(self) -> None:
+        self._playing.stop()
+
+    @property
+    def is_playing(self) -> bool:
+        return self._playing.is_playing
+
+    @property
+    def is_sounding(self) -> bool:
+        return self._playing.is_sounding
+
+    @property
+    def position_s(self) -> float:
+        return self._playing.position_s
+
+    @property
+    def is_actuator(self) -> bool:
+        """Does what plays, or played last, go to an actuator?"""
+        return self._playing is not self._speakers
+
+    def release(self) -> None:
+        self._playing.release()
+        self._speakers.release()
+        self._playing = self._speakers
+
+    def _wanted(self) -> Player:
+        from ..actuator.choice import chosen_output, plays_whole
+        from ..actuator.state import SPEAKERS
+
+        target = chosen_output()
+        if target == SPEAKERS:
+            return self._speakers
+        if plays_whole(target):
+            from .whole import Whole
+
+            return self._playing if isinstance(self._playing, Whole) else Whole(self._speakers)
+        from ..actuator.link import LINK
+
+        return LINK

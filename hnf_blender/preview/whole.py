@@ -1,0 +1,63 @@
+"""A sound card with an actuator behind it, by Blender's own sound alone: the limits are kept beforehand, on the sound
+as a whole. For where `sounddevice` is missing; nothing can be played live so."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.actuators.limiter import Limiter
+from hnf_core.actuators.limits import COUNTS, Limits
+
+from ..actuator.sound import Sound
+from .device import Speakers
+
+
+class Whole:
+    """A Player through Speakers, whose device is Blender's. The monitor's gain is not heard."""
+
+    def __init__(self, speakers: Speakers) -> None:
+        self._speakers = speakers
+
+    def play(self, sound: Sound) -> None:
+        """Raises SceneError without a sound device."""
+        begin = round(sound.start_s * sound.rate)
+        samples = limited(sound.samples[begin:], sound.rate, sound.profile.limits, loop=sound.loop)
+        self._speakers.sound(samples, sound.rate, loop=sound.loop)
+
+    def change(self, sound: Sound) -> None:
+        self.play(sound)
+
+    def stop(self) -> None:
+        self._speakers.stop()
+
+    @property
+    def is_playing(self) -> bool:
+        return self._speakers.is_playing
+
+    @property
+    def is_sounding(self) -> bool:
+        return self._speakers.is_playing
+
+    @property
+    def position_s(self) -> float:
+        return self._speakers.position_s
+
+    def release(self) -> None:
+        self._speakers.release()
+
+
+def limited(samples: NDArray[np.float32], rate: float, limits: Limits, *, loop: bool = False) -> NDArray[np.float32]:
+    """(n,) m/s² → (n + m, 1) shares of full scale within limits, softly begun and ended.
+
+    loop: over and over, so that in the end the coil's mean square is the sound's own: it is made softer as a whole
+    where that is more than the coil carries for ever.
+    """
+    limiter = Limiter(limits, rate, 1)
+    given = np.nan_to_num(samples.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0)[:, None]
+    most = limits.sustained * limits.full_scale_m_s2
+    rms = float(np.sqrt(np.mean(np.square(given)))) if len(given) else 0.0
+    if loop and rms > most:
+        given = given * (most / rms)
+    counts = np.concatenate([limiter.process(given), limiter.release()])
+    return np.ascontiguousarray(counts.astype(np.float32) / np.float32(COUNTS))
