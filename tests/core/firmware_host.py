@@ -12,7 +12,17 @@ import pytest
 from numpy.typing import NDArray
 
 from hnf_core.actuators.protocol.frames import Decoder, Encoder
-from hnf_core.actuators.protocol.messages import FROM_DEVICE, Hello, Message, Ping, Samples, Start, Status
+from hnf_core.actuators.protocol.messages import (
+    FROM_DEVICE,
+    Credit,
+    Error,
+    Hello,
+    Message,
+    Ping,
+    Samples,
+    Start,
+    Status,
+)
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "tools" / "firmware"
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Werror", "-g", "-O1"]
@@ -40,6 +50,14 @@ def build(program: str, folder: Path) -> Path:
     )
     assert done.returncode == 0, done.stderr
     return made
+
+
+def credits_of(messages: list[Message]) -> list[Credit]:
+    return [message for message in messages if isinstance(message, Credit)]
+
+
+def errors_of(messages: list[Message]) -> list[int]:
+    return [message.code for message in messages if isinstance(message, Error)]
 
 
 class Check:
@@ -117,7 +135,8 @@ class Device:
     def tick(self, frames: int) -> NDArray[np.int16]:
         """(frames, channels) that it plays."""
         self._ticks += frames
-        return np.frombuffer(self.check("T", frames), np.int16).reshape(frames, -1)
+        played = np.frombuffer(self.check("T", frames), np.int16)
+        return played.reshape(frames, -1 if frames else self.channels)
 
     def poll(self) -> list[Message]:
         return self._heard(self.check("P", self.now))
@@ -130,6 +149,25 @@ class Device:
         """That it gives to a PING."""
         heard = self.send(Ping(1)) + self.poll()
         return next(message for message in heard if isinstance(message, Status))
+
+    def stream(self, counts: NDArray[np.int16], piece: int, step: int) -> NDArray[np.int16]:
+        """Send counts as the credit allows, piece frames a message; step frames are played between two looks at the
+        credit. What it played up to the last of them, from the first sample on."""
+        played, end = [], self.sent + len(counts)
+        credit = credits_of(self.poll() + self.ask())[-1]
+        while self.sent < end or credit.played != self.sent & 0xFFFFFFFF:
+            while (room := min(credit.room(self.sent), end - self.sent, piece)) > 0:
+                at = len(counts) - (end - self.sent)
+                self.send(self.samples(counts[at : at + room]))
+            played.append(self.tick(step))
+            self.pause(0.001)
+            credit = credits_of(self.poll())[-1]
+        return np.concatenate(played)
+
+    def ask(self) -> list[Message]:
+        """What it says after a pause of 2 ms, of the main loop alone."""
+        self.pause(0.002)
+        return self.poll()
 
     def _heard(self, data: bytes) -> list[Message]:
         found = self._decoder.feed(data)

@@ -6,6 +6,7 @@
  *   n  the decoder's counters, as text        e  a line of text → the frame, sequence = argument
  *   R  new device; bytes: a hnf_config's numbers as text
  *   F  bytes at argument µs → what it sends   P  poll at argument µs → what it sends
+ *   W  as if argument frames more had been played already
  *   T  argument ticks → int16 of each         H  temperature; U  cable out; X  hardware fault → what it sends */
 #include "../hnf_device.h"
 
@@ -169,6 +170,12 @@ static void answer(uint8_t op, uint32_t argument, uint32_t count)
             hnf_device_tick(&device, frame);
             append(frame, device.channels * sizeof *frame);
         }
+        break;
+    case 'W':
+        device.played += argument;
+        device.position += argument;
+        device.read += argument;
+        device.written += argument;
         break;
     case 'H': hnf_device_temperature(&device, (int16_t)argument); break;
     case 'U': hnf_device_unplugged(&device); break;
