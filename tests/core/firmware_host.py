@@ -141,6 +141,10 @@ class Device:
     def poll(self) -> list[Message]:
         return self._heard(self.check("P", self.now))
 
+    def do(self, op: str, argument: int = 0) -> list[Message]:
+        """H (temperature in 0.1 °C), U (cable out), X (hardware fault) or W (frames played already)."""
+        return self._heard(self.check(op, argument))
+
     def pause(self, seconds: float) -> None:
         """The main loop's clock alone goes on."""
         self._pause_us += round(seconds * 1e6)

@@ -110,13 +110,13 @@ def fill(device: Device, frames: int) -> None:
 
 ENDS: dict[str, Callable[[Device], object]] = {
     "nothing more": lambda device: None,
-    "cable out": lambda device: device.check("U"),
+    "cable out": lambda device: device.do("U"),
     "STOP": lambda device: device.send(Stop()),
     "STOP after what is queued": lambda device: device.send(Stop(True)),
     "BYE": lambda device: device.send(Bye()),
     "garbage": lambda device: device.feed(bytes(range(256)) * 5 + b"\xa5\x5a\x03\x00\x00\x08"),
     "half a message": lambda device: device.feed(device.encode(Samples(7, 0, bytes(300)))[:200]),
-    "hardware fault": lambda device: device.check("X"),
+    "hardware fault": lambda device: device.do("X"),
     "more than the credit": lambda device: device.send(Samples(7, device.sent, bytes(2000))),
     "samples of another": lambda device: device.send(Samples(8, device.sent, bytes(200))),
 }
@@ -238,7 +238,7 @@ def test_the_queue_never_overruns(check: Check, data: st.DataObject) -> None:
 def test_totals_wrap(check: Check, before: int, piece: int) -> None:
     """As after 4 294 967 296 frames, 119 hours at 10 kHz."""
     device = started(check)
-    device.check("W", before)
+    device.do("W", before)
     device.sent = before
     sent = noise(before, 600, 2)
     sent[0] = 1
