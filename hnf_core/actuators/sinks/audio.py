@@ -1,0 +1,214 @@
+"""A sound output as a sink: DAC, amplifier, voice coil.
+
+PortAudio asks for frames in a thread of its own, and gets a FadingQueue's: silence when nothing more comes. That
+thread shares nothing but a deque and one tuple with the rest, so it never waits.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from enum import Enum
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...errors import DeviceError
+from ..libraries import library
+from ..sink import Counts, SinkFormat, SinkStatus
+from .fading_queue import RAMP_S, FadingQueue
+
+QUEUE_S = 0.015
+"""Owed at most, the sound system's own part included, where that leaves something."""
+
+SYSTEM_S = 0.005
+"""Of that, asked for the sound system's own buffers. The rest is ours: a late pump is what there is most of."""
+
+LEAST_QUEUE_S = 0.005
+"""Our own part of what is owed, where the sound system itself owes much."""
+
+SILENT_CALLBACK_S = 0.5
+"""No request for so long: the device is gone, or the machine slept."""
+
+_OPEN: set[int] = set()
+"""Sinks with a stream: while there is one, PortAudio must not be started anew."""
+
+_POLL_S = 0.0005
+_REMEDY = "Run `hnf actuators` to see what is there; another program may hold the output for itself."
+
+
+class AudioSink:
+    """device: part of a name, an index, or None for the system's default. The rate is the device's own."""
+
+    def __init__(self, device: str | int | None = None, channels: int = 1) -> None:
+        self._device, self._channels = device, channels
+        self._stream: Any = None
+        self._queue = FadingQueue(1, channels, 1)
+        self._incoming: deque[Counts | _Word] = deque()
+        self._written = 0
+        self._told = _Told()
+        self._called_at = 0.0
+        self._problem = ""
+
+    def open(self) -> SinkFormat:
+        sounddevice = library("sounddevice")
+        self.close()
+        try:
+            found = _found(sounddevice, self._device)
+            rate, low_s = float(found["default_samplerate"]), float(found["default_low_output_latency"])
+            stream = sounddevice.RawOutputStream(
+                samplerate=rate,
+                device=self._device,
+                channels=self._channels,
+                dtype="int16",
+                latency=SYSTEM_S if low_s <= QUEUE_S else low_s,
+                callback=self._give,
+            )
+        except (sounddevice.PortAudioError, ValueError) as error:
+            raise self._refused(f"cannot be opened ({_reason(error)})", _REMEDY) from error
+        held_s = float(stream.latency)
+        queue = int(rate * max(QUEUE_S - held_s, LEAST_QUEUE_S))
+        self._queue = FadingQueue(queue, self._channels, int(RAMP_S * rate))
+        self._incoming.clear()
+        self._written, self._told, self._problem = 0, _Told(), ""
+        self._called_at = time.monotonic()
+        try:
+            stream.start()
+        except sounddevice.PortAudioError as error:
+            stream.close(ignore_errors=True)
+            raise self._refused(f"cannot be started ({_reason(error)})", _REMEDY) from error
+        self._stream = stream
+        _OPEN.add(id(self))
+        self._settle(2.0 * held_s)
+        return SinkFormat(rate, self._channels, queue + round(held_s * rate), f"sound output '{found['name']}'")
+
+    def wait(self, timeout_s: float) -> int:
+        until = time.monotonic() + timeout_s
+        while True:
+            self._check()
+            room = self._room()
+            if room > 0 or time.monotonic() >= until:
+                return max(0, room)
+            time.sleep(_POLL_S)
+
+    def write(self, counts: Counts) -> None:
+        self._check()
+        self._incoming.append(np.array(counts, dtype=np.int16))
+        self._written += len(counts)
+
+    def status(self) -> SinkStatus:
+        told = self._told
+        return SinkStatus(played=told.played, underruns=told.underruns + told.missed, problem=self._problem)
+
+    def finish(self, timeout_s: float) -> None:
+        until = time.monotonic() + timeout_s
+        self._incoming.append(_Word.DRAIN)
+        while time.monotonic() < until:
+            self._check()
+            if not self._incoming and self._told.silent and self._told.pushed == self._written:
+                time.sleep(min(float(self._stream.latency), max(0.0, until - time.monotonic())))
+                return
+            time.sleep(_POLL_S)
+
+    def stop(self) -> None:
+        self._incoming.append(_Word.DROP)
+
+    def close(self) -> None:
+        stream, self._stream = self._stream, None
+        if stream is None:
+            return
+        self.stop()
+        until = time.monotonic() + 0.1
+        while not self._told.silent and stream.active and time.monotonic() < until:
+            time.sleep(_POLL_S)
+        stream.abort(ignore_errors=True)
+        stream.close(ignore_errors=True)
+        _OPEN.discard(id(self))
+
+    def _settle(self, seconds: float) -> None:
+        """Wait while the sound system fills its own buffers, which it does at once and not as time goes by."""
+        until = time.monotonic() + 1.0
+        while self._told.asked < seconds * self._stream.samplerate and time.monotonic() < until:
+            self._check()
+            time.sleep(_POLL_S)
+
+    def _room(self) -> int:
+        told = self._told
+        return self._queue.size - told.queued - (self._written - told.pushed)
+
+    def _give(self, data: Any, frames: int, _time: Any, flags: Any) -> None:
+        """PortAudio's callback, in its thread; nobody else touches the queue while the stream runs."""
+        self._called_at = time.monotonic()
+        queue, told = self._queue, self._told
+        pushed = told.pushed
+        while self._incoming:
+            item = self._incoming.popleft()
+            if item is _Word.DROP:
+                queue.stop()
+            elif item is _Word.DRAIN:
+                queue.finish()
+            else:
+                queue.push(item)
+                pushed += len(item)
+        out = np.frombuffer(data, dtype=np.int16).reshape(frames, self._channels)
+        out[:] = queue.advance(frames)
+        missed = told.missed + bool(flags.output_underflow)
+        self._told = _Told(
+            told.asked + frames, pushed, queue.queued, queue.played, queue.underruns, missed, queue.silent
+        )
+
+    def _check(self) -> None:
+        if self._stream is None:
+            raise self._refused(self._problem or "is closed", "Start again.")
+        if self._stream.active and time.monotonic() - self._called_at < SILENT_CALLBACK_S:
+            return
+        self._problem = "no longer takes sound: it was unplugged, or its sound server ended"
+        self.close()
+        raise self._refused(self._problem, "Plug it in, or choose another output; then start again.")
+
+    def _refused(self, what: str, remedy: str) -> DeviceError:
+        name = "the default output" if self._device is None else f"'{self._device}'"
+        return DeviceError(f"{what}.", where=f"sound output {name}", remedy=remedy)
+
+
+class _Word(Enum):
+    """Among the counts, in their order."""
+
+    DRAIN = "play what is there, it is all"
+    DROP = "silence now"
+
+
+class _Told(NamedTuple):
+    """What the callback tells: replaced as a whole, never changed. Frames, but for underruns (of our queue),
+    missed (the sound system's own underruns) and silent."""
+
+    asked: int = 0
+    pushed: int = 0
+    queued: int = 0
+    played: int = 0
+    underruns: int = 0
+    missed: int = 0
+    silent: bool = True
+
+
+def _found(sounddevice: Any, device: str | int | None) -> Any:
+    """What is known of the output. PortAudio looks for devices only when it starts: one that is not there may have been
+    plugged in since."""
+    try:
+        return sounddevice.query_devices(device, "output")
+    except (sounddevice.PortAudioError, ValueError):
+        look_again(sounddevice)
+        return sounddevice.query_devices(device, "output")
+
+
+def look_again(sounddevice: Any) -> None:
+    """Start PortAudio anew, so that it sees what has been plugged in; not while a stream is open, which that would
+    end."""
+    if not _OPEN:
+        sounddevice._terminate()
+        sounddevice._initialize()
+
+
+def _reason(error: Exception) -> str:
+    """A line of a library's, without its own numbers in brackets and without its full stop."""
+    return str(error).split(" [PaErrorCode")[0].splitlines()[0].rstrip(".:")

@@ -1,0 +1,102 @@
+"""A short queue of frames that fades to silence when nothing more comes: the watchdog of outputs that have none."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..sink import Counts
+
+RAMP_S = 0.004
+
+
+class FadingQueue:
+    """Frames in, what sounds out; its clock is what advance() says. One thread uses it.
+
+    What comes first passes as it is, for a limiter has begun it softly. Where frames are missing the last one is faded
+    within ramp frames, an underrun is counted, and what comes then rises as slowly. size: most frames it is meant to
+    owe; who pushes keeps to it.
+    """
+
+    def __init__(self, size: int, channels: int, ramp: int) -> None:
+        self.size = size
+        self.queued = self.played = self.underruns = 0
+        self._ramp, self._channels = max(1, ramp), channels
+        self._queue: deque[Counts] = deque()
+        self._last = np.zeros(channels, dtype=np.int16)
+        self._left = 0
+        self._risen = self._ramp
+        self._sounding = self._finishing = False
+
+    @property
+    def silent(self) -> bool:
+        """Nothing sounds and nothing is owed."""
+        return not (self._sounding or self._left or self.queued)
+
+    def push(self, counts: Counts) -> None:
+        """(n, channels)."""
+        if len(counts):
+            self._queue.append(counts)
+            self.queued += len(counts)
+            self._finishing = False
+
+    def finish(self) -> None:
+        """What is there is all: its end is no underrun."""
+        self._finishing = True
+
+    def stop(self) -> None:
+        """Drop what is owed and fade, now."""
+        self._queue.clear()
+        self.queued = 0
+        if self._sounding:
+            self._fall()
+
+    def advance(self, frames: int) -> Counts:
+        """(frames, channels): the next that sound."""
+        out: Counts = np.zeros((frames, self._channels), dtype=np.int16)
+        at = 0
+        while at < frames:
+            if self._left:
+                at += self._fade(out[at:])
+            elif self.queued:
+                at += self._play(out[at:])
+            elif self._sounding:
+                if not self._finishing:
+                    self.underruns += 1
+                    self._risen = 0
+                self._fall()
+            else:
+                break
+        return out
+
+    def _fall(self) -> None:
+        self._sounding = False
+        self._left = self._ramp - 1 if self._last.any() else 0
+
+    def _fade(self, room: Counts) -> int:
+        count = min(len(room), self._left)
+        room[:count] = _scaled(self._last[None], np.arange(self._left, self._left - count, -1) / self._ramp)
+        self._left -= count
+        return count
+
+    def _play(self, room: Counts) -> int:
+        head = self._queue.popleft()
+        rising = self._ramp - self._risen
+        count = min(len(room), len(head), rising or len(head))
+        room[:count] = head[:count]
+        if rising:
+            room[:count] = _scaled(head[:count], np.arange(self._risen, self._risen + count) / self._ramp)
+            self._risen += count
+        if count < len(head):
+            self._queue.appendleft(head[count:])
+        self._last, self._sounding = room[count - 1].copy(), True
+        self.queued -= count
+        self.played += count
+        return count
+
+
+def _scaled(counts: Counts, gains: NDArray[np.float64]) -> Counts:
+    """Towards zero, so that a ramp never exceeds what it scales."""
+    return np.trunc(counts * gains[:, None]).astype(np.int16)
