@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Mapping
 
 from hnf_core.errors import FileError
 
@@ -66,12 +67,20 @@ def take(line: str) -> None:
     """ACTUATOR as the search says it is. Raises FileError where the line is none of worker.tell_devices()."""
     try:
         found = json.loads(line)
-        outputs = tuple(Output(str(each["target"]), str(each["title"])) for each in found["devices"])
-        missing = {str(name): str(why) for name, why in dict(found["missing"]).items()}
+        outputs = tuple(Output(str(each["target"]), titled(each)) for each in found["devices"])
+        without, missing = ([str(each) for each in found[name]] for name in ("without", "missing"))
     except (ValueError, KeyError, TypeError) as error:
         raise FileError("the search for devices gave no answer.", remedy="Look again.") from error
     ACTUATOR.outputs, ACTUATOR.looked = outputs, True
-    ACTUATOR.without, ACTUATOR.missing = frozenset(missing), tuple(missing.values())
+    ACTUATOR.without, ACTUATOR.missing = frozenset(without), tuple(missing)
+
+
+def titled(device: Mapping[str, object]) -> str:
+    """What a device calls itself, and the port or the facts by which it is told from one of the same name."""
+    kind, _, port = str(device["target"]).partition(":")
+    more = port if kind == "serial" else str(device["facts"])
+    title = str(device["title"])
+    return f"{title} ({more})" if more and more != title else title
 
 
 FINDER = Finder()

@@ -12,8 +12,8 @@ from pathlib import Path
 
 CORE = "hnf_core"
 DEVICES = "devices"
-"""In place of a module: say what there is to play on, one JSON object in one line, {"devices": [{"target", "title"}],
-"missing": {package: why}}."""
+"""In place of a module: say what there is to play on, one JSON object in one line, {"devices": [{"target", "title",
+"facts"}], "without": [package], "missing": [why a list is short]}."""
 UNFIT = 4
 """Exit code of a Python that cannot do it: another version than the parent's, or one without numpy."""
 
@@ -46,15 +46,17 @@ def main(core: str, paths: str, version: str, module: str, *words: str) -> int:
 
 def tell_devices() -> int:
     libraries = importlib.import_module(f"{CORE}.actuators.libraries")
-    missing = {}
+    found = importlib.import_module(f"{CORE}.actuators.targets").devices()
+    without, missing = [], list(found.missing)
     for name, package in libraries.PACKAGES.items():
         try:
             libraries.library(name)
         except Exception as error:
-            missing[package] = str(error)
-    found = importlib.import_module(f"{CORE}.actuators.targets").devices()
-    devices = [{"target": each.target, "title": each.title} for each in found]
-    print(json.dumps({"devices": devices, "missing": missing}), flush=True)
+            without.append(package)
+            if not any(package in line for line in missing):
+                missing.append(str(error))
+    devices = [{"target": each.target, "title": each.title, "facts": each.facts} for each in found.all]
+    print(json.dumps({"devices": devices, "without": without, "missing": missing}), flush=True)
     return 0
 
 

@@ -68,14 +68,14 @@ class HNF_OT_output_other(bpy.types.Operator):  # type: ignore[misc]  # noqa: N8
         return set(kind)
 
     def execute(self, _context: Any) -> set[str]:
-        from hnf_core.actuators.targets import sink_of
+        from hnf_core.actuators.targets import parse_target
 
         try:
-            sink_of(str(self.target))
+            target = parse_target(str(self.target)).words
         except HnfError as error:
             self.report({"WARNING"}, one_line(error))
             return {"CANCELLED"}
-        return set(bpy.ops.hnf.output_choose(target=self.target))
+        return set(bpy.ops.hnf.output_choose(target=target))
 
 
 class HNF_OT_actuator_find(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801

@@ -1,0 +1,218 @@
+"""A hand that touches live: where it is on the surface, along which axes, and what is felt there."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+from builders import add_plane, add_sphere
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mathutils import Euler
+from touch_scene import PLATE, ridge_plate
+
+from hnf_blender.actuator.hand import Hand, force_at
+from hnf_blender.actuator.live import LiveTouch
+from hnf_blender.bridge.drawn_stroke import cast_on_surface
+from hnf_blender.bridge.own_material import carry
+from hnf_blender.bridge.under_pen import felt_there, meeting
+from hnf_blender.ops.live import likely_material, touch_at
+from hnf_blender.preview.stroke_bake import BAKE_PROPERTY
+from hnf_core.errors import MaterialError, SceneError
+from hnf_core.material.hnf_file import from_library
+from hnf_core.material.library import find, load_library
+
+ABOVE = (0.0, 0.0, -1.0)
+
+
+class Told:
+    """What a hand told, in its order."""
+
+    def __init__(self) -> None:
+        self.materials: list[str] = []
+        self.moves: list[tuple[float, tuple[float, float], float]] = []
+
+    def live_material(self, material) -> None:
+        self.materials.append(material.name)
+
+    def live_move(self, time_s, position_m, force_n) -> None:
+        self.moves.append((time_s, position_m, force_n))
+
+
+def cast(x: float, y: float, z: float = 1.0, direction=ABOVE):
+    return cast_on_surface(bpy.context.scene, depsgraph(), None, (x, y, z), direction)
+
+
+def depsgraph():
+    return bpy.context.evaluated_depsgraph_get()
+
+
+def hand(material: str = "denim") -> tuple[LiveTouch, Told]:
+    told = Told()
+    return LiveTouch(told, from_library(find(material))), told
+
+
+def choose(obj, library: str) -> None:
+    if not obj.data.materials:
+        obj.data.materials.append(bpy.data.materials.new(obj.name))
+    obj.data.materials[0].hnf_touch.library = library
+
+
+def test_a_hand_goes_its_way_in_metres_along_the_surfaces_own_axes() -> None:
+    choose(add_plane(), "denim")
+    touch, told = hand()
+    for k, x in enumerate((0.0, 0.01, 0.03)):
+        touch_at(touch, bpy.context, cast(x, 0.005), 1.5, 0.01 * k)
+    touch_at(touch, bpy.context, None, 1.5, 0.03)
+    assert [time for time, _, _ in told.moves] == pytest.approx([0.0, 0.01, 0.02, 0.03])
+    assert [place for _, place, _ in told.moves] == [pytest.approx((x, 0.0), abs=1e-7) for x in (0, 0.01, 0.03, 0.03)]
+    assert [force for _, _, force in told.moves] == [1.5, 1.5, 1.5, 0.0]
+    assert told.materials == []  # denim is what it was begun with
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    angles=st.tuples(*[st.floats(-3.0, 3.0)] * 3),
+    scale=st.tuples(*[st.floats(0.2, 5.0)] * 3),
+    mirror=st.booleans(),
+    metres=st.sampled_from([1.0, 0.01]),
+)
+def test_axes_are_those_of_the_uvs_however_the_object_stands(angles, scale, mirror, metres) -> None:
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    plane = add_plane(size=1.0)
+    plane.rotation_euler = Euler(angles)
+    plane.scale = (-scale[0] if mirror else scale[0], scale[1], scale[2])
+    bpy.context.view_layer.update()
+    matrix = np.array(plane.matrix_world)
+    normal = np.cross(matrix[:3, 0], matrix[:3, 1])
+    normal /= np.linalg.norm(normal)
+    places = []
+    for x in (0.1, 0.2):
+        start = matrix[:3, :3] @ (x, 0.1, 0.0) + normal
+        hit = cast(*start, direction=tuple(-normal))
+        assert hit is not None
+        met = meeting(hit, depsgraph(), metres)
+        assert met.axes @ met.axes.T == pytest.approx(np.eye(2), abs=1e-6)
+        places.append(met)
+    way = places[0].axes @ (places[1].point - places[0].point)
+    assert way == pytest.approx((0.1 * scale[0] * metres, 0.0), abs=1e-5 * metres * 5)
+
+
+def test_the_way_over_a_ball_is_as_long_as_its_arc() -> None:
+    choose(add_sphere(radius=0.05, segments=96, rings=48), "denim")
+    walker, length, angles = Hand(), 0.0, np.linspace(0.2, 1.2, 200)
+    last = (0.0, 0.0)
+    for angle in angles:
+        out = np.array([np.sin(angle), 0.0, np.cos(angle)])
+        met = meeting(cast(*(0.2 * out), direction=tuple(-out)), depsgraph(), 1.0)
+        place = walker.meet("Ball", met.point, met.axes)
+        length += float(np.hypot(place[0] - last[0], place[1] - last[1])) if angle > angles[0] else 0.0
+        last = place
+    assert length == pytest.approx(0.05 * 1.0, rel=0.01)
+
+
+def test_set_down_elsewhere_it_has_travelled_nothing() -> None:
+    walker, axes = Hand(), np.eye(3)[:2]
+    assert walker.meet("A", np.array([0.0, 0.0, 0.0]), axes) == (0.0, 0.0)
+    assert walker.meet("A", np.array([0.01, 0.0, 0.0]), axes) == (0.01, 0.0)
+    assert walker.meet("B", np.array([5.0, 0.0, 0.0]), axes) == (0.01, 0.0)
+    assert walker.lift() == (0.01, 0.0)
+    assert walker.meet("B", np.array([9.0, 3.0, 0.0]), axes) == (0.01, 0.0)
+    assert walker.meet("B", np.array([9.0, 3.5, 0.0]), axes) == (0.01, 0.5)
+
+
+def test_a_pens_pressure_is_a_share_of_the_force_a_mouse_has_its_own() -> None:
+    assert force_at(0.5, True, 3.0, 1.0) == 1.5
+    assert force_at(0.0, True, 3.0, 1.0) == 0.0
+    assert force_at(0.3, False, 3.0, 1.0) == 1.0
+
+
+def test_lifted_again_and_again_is_told_once_and_a_pen_without_pressure_is_lifted() -> None:
+    choose(add_plane(), "denim")
+    touch, told = hand()
+    touch.lift(0.0)
+    assert told.moves == []
+    touch_at(touch, bpy.context, cast(0.0, 0.0), 1.0, 0.1)
+    touch_at(touch, bpy.context, cast(0.01, 0.0), 0.0, 0.2)
+    touch_at(touch, bpy.context, None, 1.0, 0.3)
+    assert [force for _, _, force in told.moves] == [1.0, 0.0]
+
+
+def test_another_surface_feels_otherwise_and_is_told_before_it_is_touched() -> None:
+    left, right = add_plane("Left", 0.04), add_plane("Right", 0.04)
+    left.location.x, right.location.x = -0.03, 0.03
+    choose(left, "oak-wood")
+    choose(right, "denim")
+    bpy.context.view_layer.update()
+    touch, told = hand("oak-wood")
+    for k, x in enumerate((-0.03, -0.02, 0.02, 0.03, -0.02)):
+        touch_at(touch, bpy.context, cast(x, 0.0), 1.0, 0.1 * k)
+    assert told.materials == ["denim", "oak-wood"]
+    assert touch.material == "oak-wood"
+    assert len(told.moves) == 5
+
+
+def test_the_artists_choice_then_a_definition_then_the_looks_decide() -> None:
+    plane = add_plane()
+    felt = felt_there(plane, depsgraph(), 0, -1)
+    assert felt.name in {material.name for material in load_library()}
+    plane.data.materials.append(bpy.data.materials.new("Rusty steel sheet"))
+    carry(plane.data.materials[0], from_library(find("cork") if any(m.name == "cork" for m in load_library()) else find(
+        "denim")))  # fmt: skip
+    bpy.context.view_layer.update()
+    carried = felt_there(plane, depsgraph(), 0, -1)
+    assert carried.name in {"cork", "denim"}
+    choose(plane, "oak-wood")
+    bpy.context.view_layer.update()
+    assert felt_there(plane, depsgraph(), 0, -1).name == "oak-wood"
+    plane.data.materials[0].hnf_touch.library = "no such thing"
+    bpy.context.view_layer.update()
+    with pytest.raises(MaterialError):
+        felt_there(plane, depsgraph(), 0, -1)
+
+
+def test_what_cannot_be_felt_lifts_the_hand() -> None:
+    plane = add_plane()
+    choose(plane, "denim")
+    touch, told = hand()
+    touch_at(touch, bpy.context, cast(0.0, 0.0), 1.0, 0.1)
+    other = add_plane("Other", 0.02, z=0.01)
+    choose(other, "no such thing")
+    with pytest.raises(MaterialError):
+        touch_at(touch, bpy.context, cast(0.0, 0.0), 1.0, 0.2)
+    assert told.moves[-1][2] == 0.0
+
+
+def test_what_was_baked_there_is_felt_until_another_material_is_chosen(warm_bake) -> None:
+    from job_scene import small_scene
+
+    small_scene()
+    assert bpy.ops.hnf.bake() == {"FINISHED"}
+    plate = bpy.data.objects[PLATE]
+    assert BAKE_PROPERTY in bpy.data.objects["Along"]
+    bpy.context.view_layer.update()
+    met = meeting(cast(0.0, 0.0), depsgraph(), 1.0)
+    assert met.token == 0
+    baked = felt_there(plate, depsgraph(), met.slot, met.token)
+    guessed = felt_there(plate, depsgraph(), met.slot, -1)
+    assert baked.token.known.all()
+    assert not np.array_equal(baked.token.values, guessed.token.values)  # the ridges were seen
+    choose(plate, "denim" if baked.name != "denim" else "oak-wood")
+    bpy.context.view_layer.update()
+    assert felt_there(plate, depsgraph(), met.slot, met.token).name != baked.name
+    choose(plate, baked.name)
+    bpy.context.view_layer.update()
+    assert felt_there(plate, depsgraph(), met.slot, met.token) == baked
+
+
+def test_before_the_pen_comes_down_the_active_mesh_is_meant() -> None:
+    with pytest.raises(SceneError, match="no mesh"):
+        likely_material(bpy.context)
+    plane, plate = add_plane(), ridge_plate()
+    choose(plane, "denim")
+    choose(plate, "oak-wood")
+    bpy.context.view_layer.objects.active = plate
+    bpy.context.view_layer.update()
+    assert likely_material(bpy.context).name == "oak-wood"
+    bpy.context.view_layer.objects.active = plane
+    assert likely_material(bpy.context).name == "denim"
