@@ -20,8 +20,8 @@ import numpy as np
 
 from ..errors import FileError
 from ..signal import Signal
-from .envelope import STEP_S, Emphasis, Envelope, Float, control_points, envelope_of
-from .haptic import DROPPED, FREQUENCY_ERROR, clipped_words, from_share, steps_as_ramps, to_share
+from .envelope import STEP_S, Emphasis, Envelope, Float, Index, control_points, envelope_of
+from .haptic import DROPPED, clipped_words, from_share, steps_as_ramps, to_share, tone_points
 from .json_files import Reading, read_json, write_json
 from .options import ExportOptions, ImportOptions
 from .origin import EDITOR, Origin, origin_of, origin_text, rendered_facts
@@ -68,8 +68,9 @@ def ahap_pattern(envelope: Envelope, options: ExportOptions) -> tuple[list[dict[
         length = round(min(LONGEST_EVENT_S, end - start), _DIGITS)
         entries.append(_event("HapticContinuous", start, 1.0, 0.0, EventDuration=length))
         start = round(start + length, _DIGITS)
-    entries += _curves(INTENSITY, envelope.time, intensity, options.error * float(intensity.max()))
-    entries += _curves(SHARPNESS, envelope.time, sharpness, FREQUENCY_ERROR)
+    points = control_points(envelope.time, intensity, options.error * float(intensity.max()))
+    entries += _curves(INTENSITY, envelope.time, intensity, points)
+    entries += _curves(SHARPNESS, envelope.time, sharpness, tone_points(envelope))
     for each in envelope.emphases:
         level = min(1.0, each.amplitude / options.full_scale_m_s2) ** 0.5
         tone = min(1.0, max(0.0, to_share(each.frequency_hz, options.range_hz))) ** 0.5
@@ -134,7 +135,8 @@ def _combined(
 ) -> Envelope:
     """Events (start, stop, intensity, sharpness) and clicks (time, …) under their curves. A line of intensity is a
     parabola of amplitude, so that points are added every STEP_S. Edges are ramps of a nanosecond."""
-    end = max([stop for _, stop, _, _ in events] + [at + 0.5 * EMPHASIS_S for at, _, _ in clicks])
+    over = max((stop for _, stop, _, _ in events), default=0.0)
+    end = max([over, *(at + 0.5 * EMPHASIS_S for at, _, _ in clicks if at > over or not events)])
     borders = np.array([border for start, stop, _, _ in events for border in (start, stop)])
     knots = np.concatenate([control[name][0] for name in (INTENSITY, SHARPNESS)])
     time = np.unique(np.concatenate([[0.0, end], np.arange(0.0, end, STEP_S), borders, borders + EDGE_S, knots]))
@@ -200,9 +202,8 @@ def _laid_out(curves: list[Curve], resting: float) -> Curve:
     return steps_as_ramps(np.maximum.accumulate(np.concatenate(time))), np.concatenate(value)
 
 
-def _curves(name: str, time: Float, value: Float, error: float) -> Iterator[dict[str, Any]]:
+def _curves(name: str, time: Float, value: Float, points: Index) -> Iterator[dict[str, Any]]:
     """Curves of at most POINTS_A_CURVE points, each starting where the last ended."""
-    points = control_points(time, value, error)
     for first in range(0, max(1, len(points) - 1), POINTS_A_CURVE - 1):
         part = points[first : first + POINTS_A_CURVE]
         start = round(float(time[part[0]]), _DIGITS)

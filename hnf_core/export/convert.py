@@ -28,11 +28,12 @@ class Exported:
     loss: Loss | None
 
     def to_json(self) -> dict[str, Any]:
+        scaled = self.form.scaled
         return {
             "file": str(self.path),
             "format": self.form.word,
-            "full_scale_m_s2": self.options.full_scale_m_s2,
-            "range_hz": list(self.options.range_hz),
+            "full_scale_m_s2": self.options.full_scale_m_s2 if scaled else None,
+            "range_hz": list(self.options.range_hz) if scaled else None,
             "checked": self.form.checked,
             "dropped": list(self.dropped),
             "loss": None if self.loss is None else self.loss.to_json(),
@@ -40,7 +41,8 @@ class Exported:
 
     def report(self) -> str:
         """For people, several lines."""
-        head = f"{self.path}: {self.form.what}; 1 = {self.options.full_scale_m_s2:g} m/s²"
+        scale = f"1 = {self.options.full_scale_m_s2:g} m/s²" if self.form.scaled else "in m/s²"
+        head = f"{self.path}: {self.form.what}; {scale}"
         if self.loss is not None:
             return f"{head}\n{loss_table(self.loss)}"
         return "\n".join([head, *(f"- {each}" for each in (*self.dropped, UNMEASURED))])
@@ -56,7 +58,8 @@ def export_signal(signal: Signal, form: Format, path: Path, options: ExportOptio
         rate = max(round(signal.sample_rate), round(2.5 * options.range_hz[1]), 1)
         loss = loss_between(signal, form.read(path, ImportOptions(rate_hz=float(rate), seed=signal.seed)), dropped)
     exported = Exported(path, form, options, dropped, loss)
-    write_sidecar(path, form.word, signal, options, None if loss is None else loss.to_json())
+    measured = None if loss is None else loss.to_json()
+    write_sidecar(path, form.word, signal, options if form.scaled else None, measured)
     return exported
 
 

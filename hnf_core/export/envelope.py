@@ -27,10 +27,13 @@ STEP_S = 0.005
 HALF_WINDOW_S = 0.010
 REACH_S = 0.025
 """An amplitude is never above the largest sample this near: half a period of the slowest vibration that is felt."""
-EDGE_OCTAVES = 0.25
+EDGE_OCTAVES = 0.5
 """Width of the flanks outside the range."""
-CLICK = 3.5
-"""A sample this far above the local amplitude (5 σ of a noise) is a click, which an envelope cannot hold."""
+CLICK, CREST = 4.0, 1.8
+"""A sample this far above the amplitude before and after (more than 5 σ of a noise), and this far above that of its own
+place, is a click, which an envelope cannot hold."""
+ASIDE = (3, 12)
+"""Steps from a place to where before and after begin and end."""
 CLICK_SHARE = 0.2
 """Of the signal's peak, that a click has at least."""
 CLICKS_APART_S = 0.030
@@ -157,7 +160,10 @@ def _clicks(x: Float, rate: float, at: Index, amplitude: Float, frequency: Float
     """The highest first; each on a point of the grid."""
     half = max(1, round(0.5 * STEP_S * rate))
     peak = around(np.abs(x), at, half, _largest)
-    loud = np.flatnonzero((peak >= CLICK * amplitude) & (peak >= CLICK_SHARE * np.abs(x).max()))
+    calm = around(amplitude, np.arange(len(at)), ASIDE[1], _beside)
+    loud = np.flatnonzero(
+        (peak >= CREST * amplitude) & (peak >= CLICK * calm) & (peak >= CLICK_SHARE * np.abs(x).max())
+    )
     taken: list[int] = []
     for index in loud[np.argsort(-peak[loud], kind="stable")]:
         if all(abs(at[index] - at[each]) >= CLICKS_APART_S * rate for each in taken):
@@ -171,6 +177,12 @@ def _mean(rows: Float, weight: Float) -> Float:
 
 def _largest(rows: Float, inside: Float) -> Float:
     return np.asarray((rows * inside).max(axis=1))
+
+
+def _beside(rows: Float, inside: Float) -> Float:
+    """The greater of the medians before and after."""
+    side = ASIDE[1] - ASIDE[0] + 1
+    return np.asarray(np.maximum(np.median(rows[:, :side], axis=1), np.median(rows[:, -side:], axis=1)))
 
 
 def _fast_size(least: int) -> int:

@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 
 from ..signal import Signal
-from .envelope import Emphasis, Envelope, Float, control_points, envelope_of
+from .envelope import Emphasis, Envelope, Float, Index, control_points, envelope_of
 from .json_files import Reading, read_json, write_json
 from .options import ExportOptions, ImportOptions
 from .origin import EDITOR, Origin, origin_of, origin_text, rendered_facts
 from .tone import render
 
 VERSION = {"major": 1, "minor": 0, "patch": 0}
-FREQUENCY_ERROR = 0.01
-"""Of the range, between the frequency's control points."""
+FREQUENCY_ERROR = 0.02
+"""Of the frequency, between its control points."""
 _DIGITS = 6
 CLIPPED = "Clipped"
 DROPPED = (
@@ -65,7 +65,7 @@ def haptic_record(envelope: Envelope, options: ExportOptions) -> tuple[dict[str,
     share = to_share(envelope.frequency, options.range_hz)
     tones = [
         {"time": round(float(envelope.time[index]), _DIGITS), "frequency": _unit(share[index])}
-        for index in control_points(envelope.time, share, FREQUENCY_ERROR)
+        for index in tone_points(envelope)
     ]
     signals = {"continuous": {"envelopes": {"amplitude": points, "frequency": tones}}}
     return {"version": dict(VERSION), "signals": signals}, int(np.count_nonzero(strength > 1.0))
@@ -115,6 +115,11 @@ def joined(time: Float, amplitude: Float, other: Float, frequency: Float) -> tup
     """Two curves on the times of both, up to the end of the first: (time, amplitude, frequency)."""
     both = np.unique(np.concatenate([[0.0], time, other[other < time[-1]]]))
     return both, np.interp(both, time, amplitude), np.interp(both, other, frequency)
+
+
+def tone_points(envelope: Envelope) -> Index:
+    """Where the frequency needs a control point."""
+    return control_points(envelope.time, np.log(envelope.frequency), FREQUENCY_ERROR)
 
 
 def steps_as_ramps(time: Float) -> Float:

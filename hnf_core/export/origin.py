@@ -16,20 +16,23 @@ UNITS = "m/s^2"
 _SCHEMA = 1
 
 
-def origin_record(signal: Signal, options: ExportOptions) -> dict[str, Any]:
-    """What can be written beside the data: schema, units, full scale, range, seed, rate and provenance."""
+def origin_record(signal: Signal, options: ExportOptions | None) -> dict[str, Any]:
+    """What can be written beside the data: schema, units, full scale and range (options None: a number is what it says,
+    in units), seed, rate and provenance."""
+    scale: dict[str, Any] = {"scale": 1.0}
+    if options is not None:
+        scale = {"full_scale": options.full_scale_m_s2, "range_hz": list(options.range_hz)}
     return {
         "schema": _SCHEMA,
         "units": UNITS,
-        "full_scale": options.full_scale_m_s2,
-        "range_hz": list(options.range_hz),
+        **scale,
         "seed": int(signal.seed),
         "sample_rate_hz": signal.sample_rate,
         "provenance": {str(name): str(value) for name, value in signal.provenance.items()},
     }
 
 
-def origin_text(signal: Signal, options: ExportOptions) -> str:
+def origin_text(signal: Signal, options: ExportOptions | None) -> str:
     return json.dumps(origin_record(signal, options), ensure_ascii=False)
 
 

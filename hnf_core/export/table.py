@@ -26,8 +26,8 @@ from .sidecar import origin_beside
 
 HEADER = "time_s,acceleration_m_s2"
 LARGEST_BYTES = 2**29
-UNEVEN = 1e-3
-"""Of a sample's time: more than this off its place, and times are not even."""
+UNEVEN = 0.1
+"""Of a sample's time: more than this off its place, and times are not even. Tables round their times."""
 
 
 def write_csv(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
@@ -35,7 +35,7 @@ def write_csv(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, 
     samples = _finite(signal, path)
     time = np.arange(len(samples)) / signal.sample_rate
     rows = io.StringIO()
-    np.savetxt(rows, np.stack([time, samples.astype(np.float64)], axis=1), fmt=["%.9f", "%.9g"], delimiter=",")
+    np.savetxt(rows, np.stack([time, samples.astype(np.float64)], axis=1), fmt=["%.12f", "%.9g"], delimiter=",")
     write_bytes(path, f"{HEADER}\n{rows.getvalue()}".encode("ascii"))
     return ("Seed and origin stand in the .json beside it.",)
 
@@ -64,15 +64,15 @@ def read_csv(path: Path, options: ImportOptions) -> Signal:
 
 
 def _rate(time: NDArray[np.float64], path: Path) -> float:
-    """Hz, a whole number where the nine decimals of the times allow it."""
+    """Hz, a whole number where rounded times allow it."""
     span = time[-1] - time[0]
     if not span > 0.0:
         raise FileError("its times do not rise.", where=str(path), remedy="Sort the rows by time_s.")
     rate = (len(time) - 1) / span
-    if np.abs((time - time[0]) * rate - np.arange(len(time))).max() > max(UNEVEN, 2e-9 * rate):
+    if np.abs((time - time[0]) * rate - np.arange(len(time))).max() > UNEVEN:
         raise FileError("its times are not even.", where=str(path), remedy="Resample it to even times.")
     whole = float(round(rate))
-    return whole if abs(rate - whole) <= 2e-9 * rate / span + 1e-9 * rate else float(rate)
+    return whole if abs(rate - whole) <= rate * max(1e-6, 2e-12 / span) else float(rate)
 
 
 def write_npz(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
@@ -81,7 +81,7 @@ def write_npz(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, 
         "samples": _finite(signal, path),
         "sample_rate_hz": np.array(float(signal.sample_rate)),
         "seed": np.array(str(int(signal.seed))),
-        "origin": np.array(origin_text(signal, options)),
+        "origin": np.array(origin_text(signal, None)),
     }
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
