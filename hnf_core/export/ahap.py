@@ -112,11 +112,11 @@ def ahap_envelope(record: dict[str, Any], origin: Origin, path: Path) -> tuple[E
                 events.append((at, at + reading.number(event, "EventDuration", 0.0, LONGEST_EVENT_S), level, tone))
         elif "ParameterCurve" in entry:
             curve = reading.table(entry, "ParameterCurve")
-            name = curve.get("ParameterID")
+            name = str(curve.get("ParameterID"))
             if name in curves:
-                curves[str(name)].append(_points(reading, curve, -1.0 if name == SHARPNESS else 0.0))
+                curves[name].append(_points(reading, curve, -1.0 if name == SHARPNESS else 0.0))
             else:
-                ignored.add(f"curves of {name!s:.40}")
+                ignored.add(f"curves of {name:.40}")
         else:
             ignored.update(f"'{name!s:.40}'" for name in entry)
     if not events and not clicks:
@@ -163,10 +163,11 @@ def _parameters(reading: Reading, event: dict[str, Any], ignored: set[str]) -> t
     found = {"HapticIntensity": 1.0, "HapticSharpness": 0.5}
     for each in reading.rows(event, "EventParameters") if "EventParameters" in event else []:
         value = reading.number(each, "ParameterValue", -HUGE, HUGE)
-        if each.get("ParameterID") in found:
-            found[each["ParameterID"]] = min(1.0, max(0.0, value))
+        name = str(each.get("ParameterID"))
+        if name in found:
+            found[name] = min(1.0, max(0.0, value))
         else:
-            ignored.add(f"{each.get('ParameterID')!s:.40}")
+            ignored.add(f"{name:.40}")
     return found["HapticIntensity"], found["HapticSharpness"]
 
 

@@ -11,6 +11,7 @@ from ..files import write_text
 
 LARGEST_BYTES = 32 * 2**20
 """An hour of control points every 5 ms is some 60 MB of text; a stroke is kilobytes."""
+_PIECE = 2**20
 AGAIN = "Export or download it again."
 
 
@@ -20,15 +21,18 @@ def read_bytes(path: Path, largest: int) -> bytes:
         size = path.stat().st_size
         if size > largest:
             raise FileError(f"{size / 2**20:.0f} MB are too much.", where=str(path), remedy="Split it.")
+        data = bytearray()
         with path.open("rb") as stream:
-            data = stream.read(largest + 1)
+            # A device says that it is empty: what it gives is counted.
+            while len(data) <= largest and (piece := stream.read(_PIECE)):
+                data += piece
     except OSError as error:
         raise FileError(
             f"cannot be read ({error.strerror or error}).", where=str(path), remedy="Check the file's path."
         ) from error
     if len(data) > largest:
         raise FileError(f"it has no end within {largest / 2**20:.0f} MB.", where=str(path), remedy="Give a file.")
-    return data
+    return bytes(data)
 
 
 def read_json(path: Path) -> dict[str, Any]:
