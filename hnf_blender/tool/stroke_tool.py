@@ -7,6 +7,8 @@ from typing import Any
 
 import bpy
 
+from ..actuator.choice import chosen_output
+from ..actuator.state import SPEAKERS
 from ..ops.draw import draw_style
 
 ICON = Path(__file__).resolve().parent / "data" / "hnf.stroke"
@@ -43,8 +45,10 @@ class HNF_TOOL_stroke(bpy.types.WorkSpaceTool):  # type: ignore[misc]  # noqa: N
     )
 
     @staticmethod
-    def draw_settings(_context: Any, layout: Any, tool: Any) -> None:
+    def draw_settings(context: Any, layout: Any, tool: Any) -> None:
         draw_style(layout, tool.operator_properties("hnf.stroke_draw"))
+        if chosen_output(context) != SPEAKERS:
+            layout.operator("hnf.live_touch", text="Live Touch", icon="BRUSH_DATA")
 
 
 def register() -> None:

@@ -7,6 +7,8 @@ from typing import Any
 import bpy
 
 from .. import compat
+from ..actuator.choice import chosen_output
+from ..actuator.state import SPEAKERS
 from ..ops.materials import spoken
 from ..preview.facts import preview_facts
 from ..props.scene import active_stroke, strokes_of
@@ -29,6 +31,8 @@ class HNF_PT_strokes(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa
         row = side_by_side(layout, context)
         row.operator("wm.tool_set_by_id", text="Stroke Tool", icon="GREASEPENCIL").name = "hnf.stroke"
         row.menu("HNF_MT_stroke_add", text="Ready Strokes", icon="ADD")
+        if chosen_output(context) != SPEAKERS:
+            row.operator("hnf.live_touch", text="Live Touch", icon="BRUSH_DATA")
         if not strokes:
             hint(
                 layout,
