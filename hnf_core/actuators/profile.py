@@ -9,6 +9,7 @@ import numpy as np
 from ..errors import UsageError
 from ..signal import Signal
 from .limits import Limits
+from .response import Response
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,7 @@ class ActuatorProfile:
 
     name: for files and settings. title: for people. range_hz: band it is made for. peak_m_s2: largest acceleration
     within that range. source: where the figures come from. sustained: share of its largest level that its coil may
-    carry for ever, thermal_s the time constant of its warming.
+    carry for ever, thermal_s the time constant of its warming. response: measured, acceleration got over asked.
     """
 
     name: str
@@ -27,6 +28,7 @@ class ActuatorProfile:
     peak_m_s2: float | None = None
     sustained: float | None = None
     thermal_s: float | None = None
+    response: Response | None = None
 
     @property
     def limits(self) -> Limits:

@@ -1,0 +1,37 @@
+"""The inverse of an actuator's response as a stage of a stream."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .measure.inverse import inverse_taps
+from .profile import ActuatorProfile
+from .stage import Samples
+
+Float = NDArray[np.float64]
+
+
+class Compensation:
+    """y = taps * x, block by block, without a delay of its own. taps: (T,). See Stage."""
+
+    def __init__(self, taps: ArrayLike, channels: int) -> None:
+        self._backwards = np.asarray(taps, dtype=np.float64)[::-1].copy()
+        self._past: Float = np.zeros((len(self._backwards) - 1, channels))
+
+    def process(self, block: Samples) -> Samples:
+        """(n, channels) → (n, channels)."""
+        whole = np.concatenate([self._past, block])
+        if len(block) == 0:
+            return block
+        self._past = whole[len(block) :]
+        windows = np.lib.stride_tricks.sliding_window_view(whole, len(self._backwards), axis=0)
+        return np.asarray(windows @ self._backwards, dtype=np.float32)
+
+
+def compensation_of(profile: ActuatorProfile, rate_hz: float, channels: int) -> Compensation | None:
+    """What makes up for the actuator at rate_hz within its range; None where its response is not known."""
+    if profile.response is None:
+        return None
+    low, high = profile.range_hz or (float(profile.response.frequency_hz[0]), float(profile.response.frequency_hz[-1]))
+    return Compensation(inverse_taps(profile.response, (low, min(high, 0.5 * rate_hz)), rate_hz), channels)

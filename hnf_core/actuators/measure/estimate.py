@@ -1,0 +1,104 @@
+"""What was asked for and what came back → a frequency response."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...errors import UsageError
+from ...metrics.spectra import hann
+from ..response import QUIET_DB, Response
+
+Float = NDArray[np.float64]
+
+WINDOW_S = 0.4
+"""Of a window: 2.5 Hz apart, and enough of them in some seconds for the coherence to mean something."""
+PER_OCTAVE = 24
+LEAST_COHERENCE = 0.5
+"""Below it a frequency says more about the noise than about the actuator."""
+
+
+def estimate(asked: ArrayLike, got: ArrayLike, rate_hz: float, low_hz: float, high_hz: float) -> Response:
+    """The response between low_hz and high_hz of what turns asked (n,) into got (m,), both m/s² at rate_hz.
+
+    H1 = Σ A* G / Σ |A|² over Hann windows three quarters of which overlap, which noise in what came back does not bias
+    (J. S. Bendat and A. G. Piersol, Random Data, ch. 6); bins are then gathered, PER_OCTAVE in an octave. got may begin
+    later or earlier: the delay is found by correlation, taken out, and told. Raises UsageError where either is too
+    short or silent, or less than half of the frequencies came back coherent.
+    """
+    first, second = (np.asarray(values, dtype=np.float64) for values in (asked, got))
+    window = round(WINDOW_S * rate_hz)
+    if min(len(first), len(second)) < 2 * window:
+        raise UsageError(
+            f"a response cannot be read from less than {2 * WINDOW_S:g} s.", remedy="Play and record a longer sweep."
+        )
+    if not (first.any() and second.any() and np.isfinite(first).all() and np.isfinite(second).all()):
+        raise UsageError(
+            "nothing came back, or nothing was asked for.",
+            remedy="Check that the actuator moves and the accelerometer is recorded.",
+        )
+    delay = delay_frames(first, second)
+    before, after = _aligned(first, second, delay)
+    cross, power, came = _spectra(before, after, window)
+    frequency, gain, coherence = _gathered(cross, power, came, rate_hz, window, low_hz, high_hz)
+    if np.count_nonzero(coherence >= LEAST_COHERENCE) < 0.5 * len(coherence):
+        raise UsageError(
+            f"what came back does not follow from what was asked for (coherence {np.median(coherence):.2f}).",
+            remedy="Play louder, keep the sensor still on the actuator, and record the very same sweep.",
+        )
+    level = np.maximum(20.0 * np.log10(np.maximum(np.abs(gain), 1e-12)), QUIET_DB)
+    return Response(frequency, level, np.unwrap(np.angle(gain)), coherence, delay / rate_hz)
+
+
+def delay_frames(asked: Float, got: Float) -> int:
+    """Frames by which got lags, from the highest value of their correlation's envelope (below 0: it leads).
+
+    The envelope, as a resonance turns the phase and moves the correlation's peak by part of a period.
+    """
+    size = 1 << (len(asked) + len(got)).bit_length()
+    product = np.conj(np.fft.fft(asked, size)) * np.fft.fft(got, size)
+    product[size // 2 + 1 :] = 0.0
+    product[1 : size // 2] *= 2.0
+    place = int(np.argmax(np.abs(np.fft.ifft(product))))
+    return place if place < size - len(asked) else place - size
+
+
+def _aligned(asked: Float, got: Float, delay: int) -> tuple[Float, Float]:
+    before, after = (asked, got[delay:]) if delay >= 0 else (asked[-delay:], got)
+    # What still rings after the excitation belongs to it.
+    count = max(len(before), min(len(after), len(before)))
+    padded = np.zeros(count)
+    padded[: min(len(after), count)] = after[:count]
+    return before[:count], padded
+
+
+def _spectra(before: Float, after: Float, window: int) -> tuple[NDArray[np.complex128], Float, Float]:
+    """Σ A* G, Σ |A|², Σ |G|², each (window // 2 + 1,)."""
+    shape, hop = hann(window), window // 4
+    cuts = (np.lib.stride_tricks.sliding_window_view(values, window)[::hop] for values in (before, after))
+    asked, got = (np.fft.rfft(cut * shape, axis=1) for cut in cuts)
+    return (
+        np.asarray((np.conj(asked) * got).sum(axis=0)),
+        np.asarray(np.square(np.abs(asked)).sum(axis=0)),
+        np.asarray(np.square(np.abs(got)).sum(axis=0)),
+    )
+
+
+def _gathered(
+    cross: NDArray[np.complex128], power: Float, came: Float, rate_hz: float, window: int, low_hz: float, high_hz: float
+) -> tuple[Float, NDArray[np.complex128], Float]:
+    """Frequency, complex gain and coherence of bins gathered in steps of 1/PER_OCTAVE octave."""
+    frequency = np.arange(len(power)) * rate_hz / window
+    steps = np.round(PER_OCTAVE * np.log2(np.maximum(frequency, 1e-9) / low_hz))
+    inside = (frequency >= low_hz) & (frequency <= high_hz) & (power > 1e-9 * power.max())
+    found: list[tuple[float, complex, float]] = []
+    for step in np.unique(steps[inside]):
+        rows = inside & (steps == step)
+        weight = float(power[rows].sum())
+        # Bins of one step lie within 3 %: their gains are averaged, weighed by what was asked, as levels and phases
+        # of neighbours are the same to within the step.
+        gain = complex(cross[rows].sum() / weight)
+        share = float(np.sum(np.square(np.abs(cross[rows])) / np.maximum(came[rows], 1e-300)) / weight)
+        found.append((float(np.average(frequency[rows], weights=power[rows])), gain, min(share, 1.0)))
+    columns = tuple(zip(*found, strict=True)) if found else ((), (), ())
+    return np.array(columns[0]), np.array(columns[1], dtype=np.complex128), np.array(columns[2])

@@ -1,0 +1,51 @@
+"""What a signal is after the actuator: its energy per band against what was asked for."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...metrics.band_energy import Band, band_power
+from ...signal import Signal
+from ..chain import Chain
+from ..compensation import compensation_of
+from ..limits import COUNTS
+from ..profile import ActuatorProfile
+from ..sink import SinkFormat
+from ..sources.recorded import Recorded
+from .bands import PER_OCTAVE, third_octaves
+
+
+def felt(signal: Signal, profile: ActuatorProfile, *, compensate: bool) -> Signal:
+    """Acceleration that profile's actuator would give: through compensation (if any), limiter and its response.
+
+    Its phase is left out, which a skin does not hear; without a known response it is what leaves the limiter.
+    """
+    device = SinkFormat(signal.sample_rate, 1, round(0.015 * signal.sample_rate), profile.title)
+    stage = compensation_of(profile, signal.sample_rate, 1) if compensate else None
+    source = Recorded(np.asarray(signal.samples).reshape(-1, 1), signal.sample_rate)
+    chain = Chain(source, device, profile.limits, () if stage is None else (stage,))
+    counts = chain.block(len(signal.samples))[:, 0].astype(np.float64)
+    got = counts * (profile.limits.full_scale_m_s2 / COUNTS)
+    if profile.response is not None and len(got):
+        size = 2 * len(got)
+        frequency = np.fft.rfftfreq(size, 1.0 / signal.sample_rate)
+        gain = 10.0 ** (profile.response.gain_db_at(frequency) / 20.0)
+        got = np.fft.irfft(np.fft.rfft(got, size) * gain, size)[: len(got)]
+    return Signal(got.astype(np.float32), signal.sample_rate, signal.seed, signal.provenance)
+
+
+def felt_bands(signal: Signal, profile: ActuatorProfile, *, compensate: bool) -> tuple[Band, ...]:
+    """Per third of an octave within the actuator's range (20 Hz to 1 kHz where it is not known): asked and got."""
+    low, high = profile.range_hz or (20.0, 1000.0)
+    centres = third_octaves(low, min(high, 0.5 * signal.sample_rate))
+    half = 2.0 ** (0.5 / PER_OCTAVE)
+    edges = (*(float(centre / half) for centre in centres), float(centres[-1] * half)) if len(centres) else ()
+    if len(edges) < 2:
+        return ()
+    got = felt(signal, profile, compensate=compensate)
+    asked = band_power(signal.samples, signal.sample_rate, edges)
+    gave = band_power(got.samples, got.sample_rate, edges)
+    return tuple(
+        Band(low, high, float(before), float(after))
+        for low, high, before, after in zip(edges[:-1], edges[1:], asked, gave, strict=True)
+    )
