@@ -65,7 +65,13 @@ class LiveSynthesis:
     rate_hz = MODEL_RATE_HZ
 
     def __init__(
-        self, field: Field, tokens: NDArray[np.float32], mechanics: Sequence[Mechanics], *, seed: int, probe: str = "pen"
+        self,
+        field: Field,
+        tokens: NDArray[np.float32],
+        mechanics: Sequence[Mechanics],
+        *,
+        seed: int,
+        probe: str = "pen",
     ) -> None:
         tokens = np.asarray(tokens)
         if tokens.ndim != 2 or tokens.shape[1] != TOKEN_DIM or not 0 < len(tokens) == len(mechanics):

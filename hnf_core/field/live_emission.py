@@ -50,7 +50,9 @@ class LiveEmission:
             raise UsageError("this field has no arc-length carriers to be felt live with.", remedy="Use another field.")
         self._config, self._carriers, self._kappa = config, carriers, carriers.arc_centres()
         weights = field.parameters
-        self._layers = [(weights[f"layer{index}.weight"], weights[f"layer{index}.bias"]) for index in range(config.layers)]
+        self._layers = [
+            (weights[f"layer{index}.weight"], weights[f"layer{index}.bias"]) for index in range(config.layers)
+        ]
         self._alpha, self._sigma = ((weights[f"{head}.weight"], weights[f"{head}.bias"]) for head in ("alpha", "sigma"))
         self._expansion = config.expansion()
         self._token = np.array(token, dtype=np.float64)[None]
@@ -148,7 +150,7 @@ def _ringing(gains: Float, linear: LinearState, count: int) -> Float:
     power = np.exp(2.0 * np.minimum(gain + level, LOG_AMPLITUDE_CEILING))
     place = linear.low + np.arange(2)[:, None] + _SHIFT
     inside = (place >= 0) & (place < count)
-    return np.bincount(place[inside], power[inside], count)
+    return np.asarray(np.bincount(place[inside], power[inside], count), dtype=np.float64)
 
 
 def _log_amplitude(power: Float) -> Float:

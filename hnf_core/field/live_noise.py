@@ -1,13 +1,11 @@
 """The carriers' noise, made ahead in slices: no step waits for a whole block.
 
 The same chains as in carriers.py. A block of one octave takes 24 inverse FFTs; they are spread over the steps until the
-hand gets there, at its speed of now. No thread: a busy one holds the interpreter for milliseconds at a time. A place that
-nobody could foresee (a jump) is made at once. Blocks are kept as float32; two neighbours of each side, no more.
+hand gets there, at its speed of now. No thread: a busy one holds the interpreter for milliseconds at a time. A place
+that nobody could foresee (a jump) is made at once. Blocks are kept as float32, six of a chain.
 """
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray

@@ -81,13 +81,13 @@ class LiveTexture:
         level = np.log(np.maximum(power, 1e-30) / ARC_PER_OCTAVE)
         return np.asarray(np.exp(level[self._below] * (1.0 - self._share) + level[self._below + 1] * self._share))
 
-    def _density(
-        self, two: NDArray[np.complex128], four: NDArray[np.complex128], axis: Float, along: Float
-    ) -> Float:
+    def _density(self, two: NDArray[np.complex128], four: NDArray[np.complex128], axis: Float, along: Float) -> Float:
         """(ANGLES / 2, bands): angular density at δ and at π − δ, added, since both move the spectrum alike."""
         oriented = np.square(np.clip(np.abs(four), 0.0, 1.0))
         series = 1.0 + np.real(two * _TWO) + np.real(four * _FOUR)
         turned = np.cos(2.0 * (_ANGLE - axis))
-        line = along * np.exp(_CONCENTRATION * (turned - 1.0)) + (1.0 - along) * np.exp(-_CONCENTRATION * (turned + 1.0))
+        line = along * np.exp(_CONCENTRATION * (turned - 1.0)) + (1.0 - along) * np.exp(
+            -_CONCENTRATION * (turned + 1.0)
+        )
         density = np.maximum((1.0 - oriented) * series + oriented * line / _BUMP_MEAN, 0.0)
         return np.asarray(density[:_HALF] + density[: _HALF - 1 : -1])

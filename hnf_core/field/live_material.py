@@ -1,0 +1,48 @@
+"""A material, as one has it at hand, ready to be touched."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import UsageError
+from ..material.hnf_file import SUFFIX, MaterialFile, completed, read_hnf
+from ..material.library import find
+from ..material.material import LibraryMaterial
+from .field import Field
+from .live import LiveSynthesis
+from .weights import load_field
+
+AnyMaterial = str | Path | LibraryMaterial | MaterialFile
+"""A name of the library, a `.hnf` file, or what was read from either."""
+
+
+def material_of(material: AnyMaterial) -> LibraryMaterial:
+    """With nothing left open: what a file does not know comes from the library (hnf_file.completed).
+
+    Raises MaterialError for a name that is not in the library, FileError for a file that cannot be used.
+    """
+    if isinstance(material, LibraryMaterial):
+        return material
+    if isinstance(material, MaterialFile):
+        return completed(material)
+    if isinstance(material, Path) or material.lower().endswith(SUFFIX):
+        return completed(read_hnf(Path(material)))
+    return find(material)
+
+
+def synthesis_for_material(
+    *materials: AnyMaterial, seed: int = 0, probe: str = "pen", field: Field | None = None
+) -> LiveSynthesis:
+    """Materials 0, 1, … under a hand. field: None is the shared one. Takes some 50 ms, as its first noise is made.
+
+    Raises what material_of() and LiveSynthesis raise.
+    """
+    if not materials:
+        raise UsageError("there is nothing to touch.", remedy="Name a material.")
+    known = [material_of(material) for material in materials]
+    tokens = np.stack([material.token for material in known])
+    return LiveSynthesis(
+        load_field() if field is None else field, tokens, [each.mechanics for each in known], seed=seed, probe=probe
+    )
