@@ -1,0 +1,46 @@
+"""A player's process as the window's timer drives it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from hnf_blender.actuator.link import Link
+from hnf_blender.actuator.sound import Sound
+from hnf_blender.actuator.state import ACTUATOR, SPEAKERS, ActuatorFacts
+from hnf_core.actuators.profile import GENERIC
+
+LIMIT_S = 40.0
+RATE_HZ = 10_000.0
+
+
+def tone(seconds: float = 0.5, level: float = 2.0, **settings) -> Sound:
+    """A sine of 200 Hz, level m/s² high."""
+    time_s = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    samples = (level * np.sin(2.0 * np.pi * 200.0 * time_s)).astype(np.float32)
+    return Sound(samples, RATE_HZ, GENERIC, **settings)
+
+
+def until(link: Link, so: Callable[[], object]) -> bool:
+    """Tick as the timer does until it is so."""
+    end = time.monotonic() + LIMIT_S
+    while time.monotonic() < end:
+        link.tick()
+        if so():
+            return True
+        time.sleep(0.005)
+    return False
+
+
+@contextmanager
+def chosen(target: str) -> Iterator[None]:
+    """With this output, as an artist without preferences would have it."""
+    ACTUATOR.chosen = target
+    try:
+        yield
+    finally:
+        ACTUATOR.chosen, ACTUATOR.facts = SPEAKERS, ActuatorFacts()
+        ACTUATOR.outputs, ACTUATOR.without, ACTUATOR.missing = (), frozenset(), ()

@@ -1,0 +1,250 @@
+"""The actuator as a player: the real process, the virtual device, and what an artist is told."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from job_scene import is_gone
+from player_builders import RATE_HZ, chosen, tone, until
+
+from hnf_blender.actuator import link as link_module
+from hnf_blender.actuator.facts import facts_of, phase_of
+from hnf_blender.actuator.link import Link, where_of
+from hnf_blender.actuator.process import commands
+from hnf_blender.actuator.state import VIRTUAL, Phase
+from hnf_blender.actuator.sweep import SHARE, sweep
+from hnf_core.actuators.profile import GENERIC, PROFILES, own_profile
+from hnf_core.errors import DeviceError
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def link():
+    """A link to the virtual actuator; nothing of it is left."""
+    made = Link()
+    with chosen(VIRTUAL):
+        yield made
+    pid, folder = made.pid, made.folder
+    made.release()
+    assert pid is None or is_gone(pid)
+    assert folder is None or until(made, lambda: not folder.exists())
+
+
+def test_a_stroke_is_played_to_its_end_and_the_level_is_told(link) -> None:
+    assert phase_of(link) is Phase.OFF
+    link.play(tone(0.8))
+    assert link.is_playing
+    assert phase_of(link) is Phase.OPENING
+    assert until(link, lambda: link.is_sounding and link.newest.status.level_m_s2 > 0.2)
+    facts = facts_of(link, GENERIC)
+    assert facts.phase is Phase.PLAYING
+    assert facts.level_m_s2 == pytest.approx(2.0 / np.sqrt(2.0), rel=0.3)
+    assert facts.share == pytest.approx(facts.level_m_s2 / 30.0)
+    assert link.began.device in facts.lines[0]
+    assert until(link, lambda: not link.is_playing)
+    assert link.problem == ""
+    assert link.newest.status.underruns == 0 or link.newest.status.played_s > 0.7
+    assert phase_of(link) is Phase.READY
+
+
+def test_the_place_goes_on_between_two_reports(link) -> None:
+    link.play(tone(2.0))
+    assert link.position_s == 0.0
+    assert until(link, lambda: link.position_s > 0.3)
+    at, told = link.position_s, link.newest
+    time.sleep(0.02)
+    assert link.newest is told
+    assert link.position_s - at == pytest.approx(0.02, abs=0.02)
+    assert link.position_s <= 2.0
+
+
+def test_stopped_it_is_silent_and_can_be_played_again(link) -> None:
+    link.play(tone(5.0, loop=True))
+    assert until(link, lambda: link.is_sounding)
+    pid = link.pid
+    link.stop()
+    assert not link.is_playing
+    assert until(link, lambda: link.newest is not None and link.newest.status.state == "ended")
+    assert link.problem == ""
+    link.play(tone(0.3))
+    assert until(link, lambda: link.is_sounding)
+    assert link.pid == pid
+
+
+def test_a_change_goes_on_where_it_is_without_opening_the_device_anew(link) -> None:
+    link.play(tone(4.0, level=1.0))
+    assert until(link, lambda: link.position_s > 0.4)
+    began = link.began
+    link.change(tone(4.0, level=4.0))
+    assert until(link, lambda: link.newest.status.level_m_s2 > 2.0)
+    assert link.began is began
+    assert link.position_s > 0.4
+    assert link.newest.status.play == began.play
+
+
+def test_played_anew_it_begins_where_it_is_told_on_the_open_device(link) -> None:
+    link.play(tone(4.0))
+    assert until(link, lambda: link.position_s > 0.5)
+    began = link.began
+    link.play(tone(4.0))
+    assert link.position_s < 0.3
+    assert until(link, lambda: 0.25 < link.newest.status.position_s < 0.5)
+    assert link.began is began
+
+
+def test_what_ends_in_the_moment_of_a_change_is_begun_anew(link) -> None:
+    """As when the old sound has ended in the process, and Blender does not know yet."""
+    link.play(tone(0.3))
+    assert until(link, lambda: link.is_sounding)
+    time.sleep(1.5)  # it ends; nobody listens
+    assert link.is_playing
+    link.change(tone(1.0, level=3.0))
+    assert until(link, lambda: link.newest is not None and link.newest.status.level_m_s2 > 1.0)
+    assert link.is_playing
+
+
+def test_another_rate_loop_or_device_is_begun_anew(link) -> None:
+    link.play(tone(3.0))
+    assert until(link, lambda: link.position_s > 0.1)
+    began = link.began
+    link.change(dataclasses.replace(tone(3.0), loop=True))
+    assert until(link, lambda: link.began is not began)
+    assert link.began.play == began.play + 1
+    assert until(link, lambda: link.is_sounding)
+
+
+def test_a_loop_goes_on_over_its_end(link) -> None:
+    link.play(tone(0.2, loop=True))
+    assert until(link, lambda: link.is_sounding and link.newest.status.played_s > 0.6)
+    assert link.is_playing
+    assert 0.0 <= link.position_s < 0.2
+
+
+def test_a_killed_process_is_told_in_one_sentence_and_begun_anew(link) -> None:
+    link.play(tone(5.0))
+    assert until(link, lambda: link.is_sounding)
+    folder = link.folder
+    os.kill(link.pid, signal.SIGKILL)
+    assert until(link, lambda: not link.is_running)
+    assert not link.is_playing
+    assert "was killed (signal 9)" in link.problem
+    assert link_module.AGAIN in link.problem
+    assert facts_of(link, GENERIC).problem == link.problem
+    assert not folder.exists()
+    link.play(tone(0.3))
+    assert link.problem == ""
+    assert until(link, lambda: link.is_sounding)
+
+
+def test_a_device_that_is_not_there_is_named(link) -> None:
+    with chosen("serial:/dev/hnf-no-such-port"):
+        link.play(tone(0.3))
+        assert until(link, lambda: link.problem)
+    assert "hnf-no-such-port" in link.problem
+    assert not link.is_playing
+    with chosen(VIRTUAL):
+        link.play(tone(0.3))
+        assert until(link, lambda: link.is_sounding)
+
+
+def test_a_sound_that_cannot_be_written_is_told(link) -> None:
+    broken = tone(0.3)
+    broken.samples[5] = np.nan
+    link.play(broken)
+    assert until(link, lambda: link.problem)
+    assert "not finite" in link.problem
+    assert not link.is_playing
+
+
+def test_a_python_that_cannot_is_followed_by_one_that_can(link, monkeypatch) -> None:
+    monkeypatch.setattr(link_module, "commands", lambda *_: ([sys.executable, "-c", "exit(4)"], *commands(*_)))
+    link.play(tone(0.3))
+    assert until(link, lambda: link.is_sounding)
+    assert link.problem == ""
+
+
+def test_what_cannot_be_started_is_said_and_leaves_nothing(link, monkeypatch) -> None:
+    monkeypatch.setattr(link_module, "commands", lambda *_: (["/no/such/python"],))
+    with pytest.raises(DeviceError, match=r"/no/such/python.*could not be started"):
+        link.play(tone(0.3))
+    assert not link.is_playing
+    assert not link.is_running
+    assert link.folder is None
+
+
+def test_released_while_it_plays_the_process_leaves_by_itself(link) -> None:
+    link.play(tone(5.0, loop=True))
+    assert until(link, lambda: link.is_sounding)
+    pid, folder = link.pid, link.folder
+    link.release()
+    assert not link.is_running
+    assert is_gone(pid)
+    assert until(link, lambda: not folder.exists())
+
+
+CRASHING = """
+import os, sys, time
+sys.path[:0] = [{root!r}, {tests!r}]
+import bpy
+from player_builders import tone, until
+from hnf_blender.actuator.link import Link
+from hnf_blender.actuator.state import ACTUATOR, VIRTUAL
+ACTUATOR.chosen = VIRTUAL
+link = Link()
+link.play(tone(60.0))
+assert until(link, lambda: link.is_sounding)
+print("PID", link.pid, flush=True)
+time.sleep(60.0)
+"""
+
+
+def test_a_blender_that_crashes_leaves_no_player_behind() -> None:
+    code = CRASHING.format(root=str(ROOT), tests=str(ROOT / "tests" / "blender"))
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    try:
+        line = parent.stdout.readline()
+        assert line.startswith("PID"), line
+    finally:
+        parent.kill()
+        parent.wait()
+        parent.stdout.close()
+    assert is_gone(int(line.split()[1]))
+
+
+def test_the_limits_are_those_of_the_scenes_actuator() -> None:
+    for name, profile in PROFILES.items():
+        assert where_of(VIRTUAL, profile).profile == name
+    own = where_of(VIRTUAL, own_profile(12.0, 40.0, 400.0))
+    assert (own.profile, own.own) == ("own", (12.0, 40.0, 400.0))
+    assert where_of(VIRTUAL, own_profile(0.0, 40.0, 400.0)).own[0] == 0.0
+
+
+@pytest.mark.parametrize("profile", [*PROFILES.values(), own_profile(0.0, 50.0, 50.0)], ids=lambda each: each.name)
+def test_the_test_is_soft_from_end_to_end(profile) -> None:
+    sound = sweep(profile)
+    assert sound.duration_s == 1.0
+    assert np.abs(sound.samples).max() <= SHARE * profile.limits.full_scale_m_s2 + 1e-6
+    assert np.abs(sound.samples).max() > 0.9 * SHARE * profile.limits.full_scale_m_s2
+    assert abs(sound.samples[0]) < 1e-6
+    assert abs(sound.samples[-1]) < 1e-3
+    low, high = profile.range_hz
+    energy = np.square(np.abs(np.fft.rfft(sound.samples)))
+    frequency = np.fft.rfftfreq(len(sound.samples), 1.0 / RATE_HZ)
+    inside = (frequency > 0.7 * low) & (frequency < 1.4 * high)
+    assert energy[inside].sum() > 0.98 * energy.sum()
+
+
+def test_blenders_own_python_is_the_lightest_way() -> None:
+    ways = commands("actuators.player", ())
+    assert ways[0][0] == sys.executable
+    assert bool(bpy.app.binary_path) == (len(ways) == 2)
