@@ -42,19 +42,22 @@ class Play:
 @dataclass(frozen=True)
 class LiveBegin:
     """A hand on a surface, from now on, in place of what plays. material: a .hnf file, or a name of the library.
-    Nothing sounds before the first Move."""
+    Nothing sounds before the first Move. Where a hand is felt there already, it goes on, and what it touched so far
+    rings out."""
 
     play: int
     material: str
     where: Where
     seed: int = 0
     probe: str = "pen"
-    gain_db: float = 0.0
 
 
 @dataclass(frozen=True)
 class Move:
-    """The hand at time_s (its own clock) is at x_m, y_m on the surface and presses with force_n; 0 = lifted."""
+    """The hand at time_s (its own clock) is at x_m, y_m on the surface and presses with force_n; 0 = lifted.
+
+    Ignored where nothing is touched live: it may have been on its way when that ended.
+    """
 
     time_s: float
     x_m: float
@@ -156,7 +159,10 @@ class Status:
 
 @dataclass(frozen=True)
 class Refused:
-    """A command was not done; all else goes on. play: of the Play or LiveBegin that it was, else −1. why: one line."""
+    """A command was not done; what plays goes on, but where a Play or LiveBegin could not have its device.
+
+    play: of the Play or LiveBegin that it was, else −1. why: one line.
+    """
 
     play: int
     why: str

@@ -1,0 +1,43 @@
+"""A WAV as what an actuator is to do: m/s², whatever unit the file has."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..export.wav import read_wav
+from .limits import Limits
+from .source import Samples
+
+
+@dataclass(frozen=True, eq=False)
+class Acceleration:
+    """samples: (n, 1) float32 m/s². unit: what was read as what, in words."""
+
+    samples: Samples
+    rate_hz: float
+    unit: str
+
+    @property
+    def duration_s(self) -> float:
+        return len(self.samples) / self.rate_hz
+
+    @property
+    def peak_m_s2(self) -> float:
+        return float(np.abs(self.samples).max(initial=0.0))
+
+
+def read_acceleration(path: Path, limits: Limits) -> Acceleration:
+    """A file that states m/s² is taken at its word. One without a unit whose samples lie within −1 … 1, as sound files'
+    do, plays with 1 as the actuator's full scale; one that goes beyond is taken as m/s². Raises FileError."""
+    signal = read_wav(path)
+    samples = np.ascontiguousarray(signal.samples, dtype=np.float32)[:, None]
+    if signal.provenance.get("units") != "as stored":
+        return Acceleration(samples, signal.sample_rate, "in m/s²")
+    if np.abs(samples).max(initial=0.0) > 1.0:
+        return Acceleration(samples, signal.sample_rate, "without a unit, taken as m/s²")
+    full = np.float32(limits.full_scale_m_s2)
+    words = f"without a unit: its 1.0 is played as {limits.full_scale_m_s2:g} m/s², full scale"
+    return Acceleration(samples * full, signal.sample_rate, words)
