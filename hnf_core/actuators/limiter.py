@@ -50,6 +50,7 @@ class Limiter:
         warm = np.clip(np.broadcast_to(np.asarray(heat, dtype=np.float64), (channels,)), 0.0, 1.0)
         self._square = warm * self._law.bound if np.isfinite(self._law.bound) else np.zeros(channels)
         self._gain = self._earlier_gain = gains(self._law, self._square)
+        self._damped = bool((self._gain < 1.0).any())
         self._cap = caps(self._law, self._square, self._last)
 
     @property
@@ -76,7 +77,9 @@ class Limiter:
             self.nonfinite += int(given.size - np.count_nonzero(finite))
             given = np.where(finite, given, 0.0)
         with np.errstate(over="ignore"):
-            level = np.asarray(np.clip(given / self._law.full_scale_m_s2, -2.0, 2.0) * COUNTS, dtype=np.float64)
+            level = given / self._law.full_scale_m_s2
+        np.minimum(np.maximum(level, -2.0, out=level), 2.0, out=level)
+        level *= COUNTS
         return self._limited(level)
 
     def soft_stop(self, frames: int) -> Counts:
@@ -111,29 +114,32 @@ class Limiter:
 
     def _ramped(self, level: Real) -> Real | None:
         """Fades level in, in place. Returns what fades out beneath it, if anything."""
-        ramp, steps = self._law.ramp, np.arange(1, len(level) + 1)
+        ramp = self._law.ramp
         if self._playing and self._risen < len(ramp) - 1:
+            steps = np.arange(1, len(level) + 1)
             level *= ramp[np.minimum(self._risen + steps, len(ramp) - 1), None]
             self._risen = min(self._risen + len(level), len(ramp) - 1)
         if self._falling == 0:
             return None
+        steps = np.arange(1, len(level) + 1)
         tail = self._held * ramp[np.maximum(self._falling - steps, 0), None]
         self._falling = max(self._falling - len(level), 0)
         return np.asarray(tail)
 
     def _piece(self, level: Real, tail: Real | None) -> Whole:
         """Within one grid of frames."""
-        law = self._law
-        wanted = np.rint(level if tail is None else level + tail)
-        if np.isfinite(law.bound):
+        law, heats = self._law, bool(np.isfinite(self._law.bound))
+        aim = wanted = np.rint(level if tail is None else level + tail)
+        if self._damped:
             share = np.arange(self._at + 1, self._at + len(level) + 1)[:, None] / law.grid
             level = level * (self._earlier_gain + (self._gain - self._earlier_gain) * share)
-        level = level if tail is None else level + tail
-        whole = slewed(np.rint(np.clip(level, -self._cap, self._cap)).astype(np.int64), self._last, law.step)
+            aim = np.rint(level if tail is None else level + tail)
+        whole = np.minimum(np.maximum(aim, -self._cap), self._cap).astype(np.int64)
+        follow(whole, self._last, law.step)
         self.limited += int(np.count_nonzero(whole != wanted))
         self._last = whole[-1].copy()
-        if np.isfinite(law.bound):
-            self._energy += np.square(whole).sum(axis=0)
+        if heats:
+            self._energy += np.einsum("nc,nc->c", whole, whole)
             self._at += len(whole)
             if self._at == law.grid:
                 self._warm()
@@ -146,6 +152,7 @@ class Limiter:
         self._energy[:] = 0
         self._at = 0
         self._earlier_gain, self._gain = self._gain, gains(law, self._square)
+        self._damped = bool((self._earlier_gain < 1.0).any() or (self._gain < 1.0).any())
         self._cap = caps(law, self._square, self._last)
 
 
@@ -162,9 +169,10 @@ def caps(law: Law, square: Real, last: Whole) -> Whole:
         return highest
     room = (law.bound - law.decay * square) / law.weight
     owed = way_down(law, np.abs(last))
-    if (np.maximum(way_down(law, highest), owed) + law.grid * np.square(highest.astype(np.float64)) <= room).all():
-        return highest
     lowest = np.zeros_like(highest)
+    most = law.peak * law.peak * (law.grid + law.peak / law.step)
+    if room.min() > 2.0 * most:  # far off; what follows would find the same
+        return highest
     while (lowest < highest).any():
         middle = (lowest + highest + 1) // 2
         fits = np.maximum(way_down(law, middle), owed) + law.grid * np.square(middle.astype(np.float64)) <= room
@@ -178,14 +186,17 @@ def way_down(law: Law, level: Whole) -> Real:
     return np.asarray(real * real * real / (3.0 * law.step))
 
 
-def slewed(target: Whole, last: Whole, step: int) -> Whole:
-    """target (n, channels), followed by at most step counts a frame from last (channels,)."""
-    change = np.diff(target, axis=0, prepend=last[None])
-    steep = (np.abs(change) > step).any(axis=0)
+def follow(target: Whole, last: Whole, step: int) -> None:
+    """Changes target (n, channels), n ≥ 1, where it leaves its last frame (channels,) or itself by more than step
+    counts a frame: there it is followed as fast as that allows."""
+    steep = np.abs(target[0] - last) > step
+    if len(target) > 1:
+        steep |= np.abs(target[1:] - target[:-1]).max(axis=0) > step
+    if not steep.any():
+        return
     for channel in np.flatnonzero(steep):
         at, followed = int(last[channel]), []
         for aim in target[:, channel].tolist():
-            at = min(max(aim, at - step), at + step)
+            at = aim if -step <= aim - at <= step else at + step if aim > at else at - step
             followed.append(at)
         target[:, channel] = followed
-    return target

@@ -27,7 +27,7 @@ class Durations:
 
     def percentile_ms(self, percent: float) -> float:
         """The upper edge of the bin that percent of all times lie in or below, never more than the longest; 0 where
-        there are none."""
+        there are none. From 100 ms on it is the longest."""
         if self.count == 0:
             return 0.0
         place = int(np.searchsorted(np.cumsum(self._counts), self.count * percent / 100.0))
@@ -40,7 +40,8 @@ class StreamReport:
     underruns: times that the device missed frames. errors: damaged or lost frames of the wire. compute_p99_ms: of a
     block, from its source to ready counts; compute_cpu_p99_ms: of that, what the thread computed. latency_p99_ms: from
     the moment a block was asked of the source until the sink had it. peak: largest level that left, as a share of full
-    scale. limited_samples, nonfinite_samples: changed by the limiter. played_s: by the device. level_m_s2: RMS now.
+    scale. limited_samples, nonfinite_samples: changed by the limiter. played_s: by the device. level_m_s2: RMS of the
+    last 20 ms or so.
     temperature_c: of the coil, where it is told. resampler: what converts the rate. problem: why it ended, or "".
     """
 

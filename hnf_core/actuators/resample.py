@@ -140,8 +140,9 @@ class Polyphase:
     def _frames(self, start: int, end: int) -> Samples:
         position = np.arange(start, end, dtype=np.int64) * self._step
         before, phase = position // self._per, position % self._per
-        rows = (before - (self._half - 1) - self._first)[:, None] + np.arange(2 * self._half)
-        found = (self._held[:, rows] * self._weights(phase)).sum(axis=-1)
+        under = np.lib.stride_tricks.sliding_window_view(self._held, 2 * self._half, axis=1)
+        rows = under[:, before - (self._half - 1) - self._first]
+        found = np.einsum("cnt,nt->cn", rows, self._weights(phase))
         return np.ascontiguousarray(found.T, dtype=np.float32)
 
     def _weights(self, phase: NDArray[np.int64]) -> NDArray[np.float64]:

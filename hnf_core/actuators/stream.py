@@ -9,6 +9,7 @@ nothing comes any more, the device's own queue is the watchdog: it fades to sile
 from __future__ import annotations
 
 import atexit
+import math
 import threading
 import time
 import weakref
@@ -27,17 +28,20 @@ from .ring import Ring
 from .sink import Counts, Sink, SinkFormat, SinkStatus
 from .source import Source
 from .stage import Stage
+from .warmth import WARMTH
 
 _OPEN_S = 10.0
 _JOIN_S = 2.0
 _FINISH_S = 2.0
 _LOOK_S = 0.005
-"""How often the pump looks whether it shall stop, at the least."""
+"""How often the pump looks whether it shall stop and how the device is, at the least."""
+_ASLEEP_S = 0.1
+_LEVEL_S = 0.02
 
 
 class Stream:
     """source on sink, once. ahead_blocks: of block_s each, ready in advance (1 for what is touched live).
-    prompt: see resampler().
+    prompt: see resampler(). compute, compute_cpu, latency: of each block; see StreamReport.
 
     A context manager: leaving it stops. A problem of the device or of the source ends the stream in silence and is
     told by report.problem; another Stream may follow at once.
@@ -65,13 +69,14 @@ class Stream:
         self._ended = threading.Event()
         self._paused = False
         self._lock = threading.Lock()
-        self._compute, self._compute_cpu, self._latency = Durations(), Durations(), Durations()
+        self.compute, self.compute_cpu, self.latency = Durations(), Durations(), Durations()
         self._device: SinkFormat | None = None
         self._chain: Chain | None = None
         self._ring: Ring | None = None
         self._status = SinkStatus()
         self._blocks = self._frames = self._peak = 0
         self._square = 0.0
+        self._rate = 1.0
         self._problem = ""
 
     def __enter__(self) -> Stream:
@@ -89,7 +94,6 @@ class Stream:
             if self._threads or self._stopping.is_set():
                 raise UsageError("a stream plays once.", remedy="Make another one.")
             self._threads.append(threading.Thread(target=self._pump, name="hnf-pump", daemon=True))
-        calm.hold()
         _live.add(self)
         self._threads[0].start()
         try:
@@ -105,12 +109,12 @@ class Stream:
         self._stopping.set()
         if self._ring is not None:
             self._ring.close()
-        until = time.monotonic() + _JOIN_S
-        for thread in self._threads:
-            if thread is not threading.current_thread() and thread.ident is not None:
-                thread.join(max(until - time.monotonic(), 0.0))
-        if not self._threads:
+        with self._lock:
+            threads = list(self._threads)
+        if not threads:
             self._ended.set()
+        elif threading.current_thread() not in threads:  # a source or a sink that stops its own stream goes on first
+            self._ended.wait(2.0 * _JOIN_S)
 
     def pause(self) -> None:
         """Fade out and hold the source where it is; the device goes on with silence."""
@@ -129,7 +133,6 @@ class Stream:
         """Now; from any thread."""
         with self._lock:
             limiter = self._chain.limiter if self._chain else None
-            rate = self._device.rate_hz if self._device else 1.0
             if self._ended.is_set():
                 state = "ended"
             elif self._device is None:
@@ -143,15 +146,15 @@ class Stream:
                 frames=self._frames,
                 underruns=self._status.underruns,
                 errors=self._status.errors,
-                compute_p99_ms=self._compute.percentile_ms(99.0),
-                compute_highest_ms=self._compute.highest_ms,
-                compute_cpu_p99_ms=self._compute_cpu.percentile_ms(99.0),
-                latency_p99_ms=self._latency.percentile_ms(99.0),
-                latency_highest_ms=self._latency.highest_ms,
+                compute_p99_ms=self.compute.percentile_ms(99.0),
+                compute_highest_ms=self.compute.highest_ms,
+                compute_cpu_p99_ms=self.compute_cpu.percentile_ms(99.0),
+                latency_p99_ms=self.latency.percentile_ms(99.0),
+                latency_highest_ms=self.latency.highest_ms,
                 peak=self._peak / COUNTS,
                 limited_samples=limiter.limited if limiter else 0,
                 nonfinite_samples=self._chain.nonfinite if self._chain else 0,
-                played_s=self._status.played / rate,
+                played_s=self._status.played / self._rate,
                 level_m_s2=float(np.sqrt(self._square)) * self._limits.full_scale_m_s2 / COUNTS,
                 temperature_c=self._status.temperature_c,
                 resampler=self._chain.resampler if self._chain else "",
@@ -162,35 +165,40 @@ class Stream:
 
     def _produce(self, chain: Chain, ring: Ring, frames: int) -> None:
         try:
-            while not self._stopping.is_set() and not chain.ended:
-                # Room first, then the source: nothing it gives grows old before the ring.
-                if not ring.wait_room(frames, _LOOK_S):
-                    continue
-                stamp, computed = time.perf_counter(), time.thread_time()
-                counts = chain.limiter.soft_stop(frames) if self._paused else chain.block(frames)
-                taken, computed = time.perf_counter() - stamp, time.thread_time() - computed
-                with self._lock:
-                    self._compute.note(taken)
-                    self._compute_cpu.note(computed)
-                ring.put(counts, stamp)
-        except Exception as error:
-            self._tell(error, "the signal cannot be made any further")
-        try:
+            try:
+                self._fill(chain, ring, frames)
+            except Exception as error:
+                self._tell(error, "the signal cannot be made any further")
             ring.put(chain.limiter.release())
         finally:
             ring.finish()
+
+    def _fill(self, chain: Chain, ring: Ring, frames: int) -> None:
+        while not self._stopping.is_set() and not chain.ended:
+            # Room first, then the source: nothing it gives grows old before the ring.
+            if not ring.wait_room(frames, _ASLEEP_S):
+                continue
+            stamp, computed = time.perf_counter(), time.thread_time()
+            counts = chain.limiter.soft_stop(frames) if self._paused else chain.block(frames)
+            taken, computed = time.perf_counter() - stamp, time.thread_time() - computed
+            with self._lock:
+                self.compute.note(taken)
+                self.compute_cpu.note(computed)
+            ring.put(counts, stamp)
 
     # ------------------------------------------------------------------ pump
 
     def _pump(self) -> None:
         producer: threading.Thread | None = None
+        calm.hold()
         try:
             device = self._sink.open()
-            chain = Chain(self._source, device, self._limits, self._stages, prompt=self._prompt)
+            heat = WARMTH.heat(device.device, self._limits, device.channels)
+            chain = Chain(self._source, device, self._limits, self._stages, prompt=self._prompt, heat=heat)
             frames = max(round(self._block_s * device.rate_hz), 1)
             ring = Ring(self._ahead * frames, device.channels)
             with self._lock:
-                self._device, self._chain, self._ring = device, chain, ring
+                self._device, self._chain, self._ring, self._rate = device, chain, ring, device.rate_hz
                 producer = threading.Thread(
                     target=self._produce, args=(chain, ring, frames), name="hnf-producer", daemon=True
                 )
@@ -220,6 +228,7 @@ class Stream:
             if ring.ended:
                 if not self._stopping.is_set():
                     self._sink.finish(_FINISH_S)
+                    self._note(_NONE, 0.0, self._sink.status())
                 return
 
     def _note(self, counts: Counts, stamp: float, status: SinkStatus) -> None:
@@ -232,24 +241,29 @@ class Stream:
             self._frames += len(counts)
             wide = counts.astype(np.int64)
             self._peak = max(self._peak, int(np.abs(wide).max()))
-            self._square += 0.25 * (float(np.square(wide).mean()) - self._square)
+            forget = 1.0 - math.exp(-len(counts) / (_LEVEL_S * self._rate))
+            self._square += forget * (float(np.square(wide).mean()) - self._square)
             if stamp:
-                self._latency.note(now - stamp)
+                self.latency.note(now - stamp)
 
     def _end(self, producer: threading.Thread | None) -> None:
         self._stopping.set()
-        if self._ring is not None:
-            self._ring.close()
-        self._sink.close()
-        if producer is not None and producer is not threading.current_thread():
-            producer.join(_JOIN_S)
-            if producer.is_alive():
-                self._tell(DeviceError("the signal's source does not answer."), "")
-        with self._lock:
-            self._square = 0.0
-        _live.discard(self)
-        calm.release()
-        self._ended.set()
+        try:
+            if self._ring is not None:
+                self._ring.close()
+            self._sink.close()
+            if producer is not None and producer.ident is not None:
+                producer.join(_JOIN_S)
+                if producer.is_alive():
+                    self._tell(DeviceError("the signal's source does not answer.", remedy="Start it anew."), "")
+        finally:
+            with self._lock:
+                self._square = 0.0
+                if self._chain is not None and self._device is not None:
+                    WARMTH.note(self._device.device, self._limits, self._chain.limiter.heat)
+            _live.discard(self)
+            calm.release()
+            self._ended.set()
 
     def _tell(self, error: Exception, what: str) -> None:
         """The first problem is the one that is told."""

@@ -11,4 +11,13 @@ def _preview(options: Options) -> list[Row]:
     return rows(options)
 
 
-BENCHES = (Bench("preview", "a changed force key → new samples, from what is there and all anew", _preview),)
+def _stream(options: Options) -> list[Row]:
+    from .stream import rows
+
+    return rows(options)
+
+
+BENCHES = (
+    Bench("preview", "a changed force key → new samples, from what is there and all anew", _preview),
+    Bench("stream", "a stream for 10 minutes on a virtual device, busy or with 16 channels: underruns, bytes", _stream),
+)

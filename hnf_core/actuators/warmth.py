@@ -1,0 +1,41 @@
+"""What the coils of a device have warmed to, kept from one stream to the next: starting anew cools nothing."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .limits import Limits
+
+Real = NDArray[np.float64]
+
+
+class Warmth:
+    """Of devices, each known by its name, as long as this process lives. clock: s, monotonic."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._known: dict[str, tuple[float, float, Real]] = {}
+
+    def note(self, device: str, limits: Limits, heat: Real) -> None:
+        """heat: (channels,) of what limits' coils may warm to, as Limiter.heat tells it."""
+        square = heat * (limits.sustained * limits.full_scale_m_s2) ** 2
+        with self._lock:
+            self._known[device] = (self._clock(), limits.thermal_s, square)
+
+    def heat(self, device: str, limits: Limits, channels: int) -> Real:
+        """(channels,) 0–1 for a Limiter that starts now; other channels than last time start as warm as its warmest."""
+        with self._lock:
+            then, thermal_s, square = self._known.get(device, (0.0, 1.0, np.zeros(channels)))
+            left = float(np.exp(-(self._clock() - then) / thermal_s))
+        if len(square) != channels:
+            square = np.full(channels, square.max(initial=0.0))
+        return np.asarray(np.clip(left * square / (limits.sustained * limits.full_scale_m_s2) ** 2, 0.0, 1.0))
+
+
+WARMTH = Warmth()

@@ -1,0 +1,201 @@
+"""A stream for minutes: does every count arrive, in time?
+
+The device is a program of its own on a pty, its line as slow as 3 Mbaud are. What it played is compared with what the
+limiter makes of the same signal in one go.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..actuators.chain import counts_of
+from ..actuators.limits import Limits
+from ..actuators.report import Durations
+from ..actuators.sink import Counts
+from ..actuators.sinks.audio import AudioSink
+from ..actuators.sinks.serial import SerialSink
+from ..actuators.source import Samples
+from ..actuators.sources.recorded import Recorded
+from ..actuators.stream import Stream
+from ..errors import DeviceError
+from .frame import Options, Row, Spread
+
+NAME = "stream"
+SECONDS, QUICK_SECONDS = 600.0, 1.0
+BAUDRATE = 3_000_000
+LIMITS = Limits(30.0, slew_per_s=2.0 * np.pi * 1000.0, sustained=0.5)
+SOFTLY = Limits(30.0, peak=0.01)
+"""For an output that may be somebody's loudspeaker."""
+
+_PERIOD_S = 10.0
+_MARGIN_S = 30.0
+
+
+@dataclass(frozen=True)
+class Case:
+    """busy: another process keeps a core busy."""
+
+    method: str
+    rate_hz: int
+    channels: int
+    block_s: float
+    busy: bool = False
+
+
+CASES = (
+    Case("serial, 10 kHz, 5 ms blocks", 10_000, 1, 0.005),
+    Case("serial, 10 kHz, 20 ms blocks, the other core busy", 10_000, 1, 0.02, busy=True),
+    Case("serial, 8 kHz, 16 channels at 3 Mbaud, 5 ms blocks", 8_000, 16, 0.005),
+)
+
+
+class Some:
+    """The first frames of a source."""
+
+    def __init__(self, source: Recorded, frames: int) -> None:
+        self.rate_hz, self.channels = source.rate_hz, source.channels
+        self._source, self._left = source, frames
+
+    def read(self, frames: int) -> Samples:
+        found = self._source.read(min(frames, self._left))
+        self._left -= len(found)
+        return found
+
+
+def rows(options: Options, seconds: float | None = None) -> list[Row]:
+    """seconds: of each stream; None: SECONDS, or QUICK_SECONDS."""
+    length = seconds or (QUICK_SECONDS if options.quick else SECONDS)
+    found = []
+    for case in CASES:
+        options.watch(f"{NAME}: {case.method}, {length:g} s")
+        found.append(_on_serial(case, length))
+    options.watch(f"{NAME}: sound output, {length:g} s")
+    return [*found, _on_audio(length)]
+
+
+def _on_serial(case: Case, seconds: float) -> Row:
+    with tempfile.TemporaryDirectory(prefix="hnf-bench-") as folder, _core_busy(case.busy):
+        record = Path(folder) / "played.npy"
+        with _device(record) as device:
+            try:
+                sink = SerialSink(device.port, BAUDRATE, case.rate_hz, case.channels)
+                stream = Stream(_source(case.rate_hz, case.channels, seconds), sink, LIMITS, block_s=case.block_s)
+                with stream:
+                    form = stream.start()
+                    stream.wait(seconds + _MARGIN_S)
+            except DeviceError as error:
+                return Row(NAME, case.method, note=str(error))
+            device.end()
+        expected = _sounding(counts_of(_source(case.rate_hz, case.channels, seconds), form, LIMITS))
+        wrong = _differing(expected, np.load(record))
+    return _row(case.method, stream, wrong, f", the device's clock slipped by {device.slipped} frames")
+
+
+def _on_audio(seconds: float) -> Row:
+    method = "sound output, 5 ms blocks"
+    try:
+        with Stream(_source(10_000, 1, seconds), AudioSink(), SOFTLY) as stream:
+            form = stream.start()
+            stream.wait(seconds + _MARGIN_S)
+    except DeviceError as error:
+        return Row(NAME, method, note=str(error))
+    return _row(f"{method}, {form.rate_hz:g} Hz", stream, None, "")
+
+
+def _row(method: str, stream: Stream, wrong: float | None, more: str) -> Row:
+    report = stream.report
+    told = "" if wrong is None else f"bytes {'equal' if wrong == 0.0 else 'differ'}, "
+    note = (
+        f"{report.underruns} underruns, {told}{report.limited_samples} samples limited, source to wire 99 % "
+        f"{report.latency_p99_ms:.1f} ms, {report.played_s:g} s played{more}"
+    )
+    return Row(
+        NAME,
+        method,
+        _spread(stream.compute),
+        _spread(stream.compute_cpu),
+        error=wrong,
+        error_unit="" if wrong is None else "of the counts differ",
+        note=f"{note}: {report.problem}" if report.problem else note,
+    )
+
+
+def _spread(durations: Durations) -> Spread | None:
+    if durations.count == 0:
+        return None
+    median, lowest, p99 = (durations.percentile_ms(percent) * 1e-3 for percent in (50.0, 0.0, 99.0))
+    return Spread(median, lowest, p99, durations.highest_ms * 1e-3, durations.count)
+
+
+def _source(rate_hz: int, channels: int, seconds: float) -> Some:
+    """Noise and now and then a shock that the limiter has to do with."""
+    rng = np.random.default_rng(6)
+    frames = int(min(_PERIOD_S, seconds) * rate_hz)
+    samples = rng.normal(0.0, 4.0, (frames, channels)).astype(np.float32)
+    samples[rng.random(frames) < 1e-3] *= 20.0
+    return Some(Recorded(samples, rate_hz, loop=True), round(seconds * rate_hz))
+
+
+def _sounding(counts: Counts) -> Counts:
+    """From the first frame that is no silence to the last."""
+    loud = np.flatnonzero(counts.any(axis=1))
+    return counts[loud[0] : loud[-1] + 1] if len(loud) else counts[:0]
+
+
+def _differing(expected: Counts, played: Counts) -> float:
+    """Share of the counts; all of them where as many frames as expected were not played."""
+    if expected.shape != played.shape:
+        return 1.0
+    return float(np.count_nonzero(expected != played)) / max(expected.size, 1)
+
+
+class _Device:
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self._process = process
+        self.port = str(self._told("port"))
+        self.slipped = 0
+
+    def end(self) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.write("\n")
+        self._process.stdin.flush()
+        self.slipped = int(str(self._told("slipped")))
+
+    def _told(self, name: str) -> object:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        if not line:
+            raise DeviceError("the virtual device does not run here.", remedy="Use Linux or macOS, which have ptys.")
+        return json.loads(line)[name]
+
+
+@contextmanager
+def _device(record: Path) -> Iterator[_Device]:
+    words = [sys.executable, "-m", f"{__package__}.stream_device", str(BAUDRATE), str(record)]
+    root = Path(__file__).resolve().parents[2]
+    process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=root)
+    try:
+        yield _Device(process)
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@contextmanager
+def _core_busy(busy: bool) -> Iterator[None]:
+    process = subprocess.Popen([sys.executable, "-c", "while True: pass"]) if busy else None
+    try:
+        yield
+    finally:
+        if process is not None:
+            process.kill()
+            process.wait()

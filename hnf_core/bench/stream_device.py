@@ -1,0 +1,47 @@
+"""A virtual device in a program of its own, as a device is: a line on its standard input ends it.
+
+Its own lines are JSON: {"port": …}, and at the end {"slipped": frames that its sample clock stood still}.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from ..actuators.virtual.port import VirtualPort
+
+
+class Paced:
+    """Bytes as a line of baudrate carries them, ten bits each: those that come faster wait."""
+
+    def __init__(self, baudrate: int) -> None:
+        self._per_s = baudrate / 10.0
+        self._waiting = b""
+        self._allowed, self._then = 0.0, time.monotonic()
+
+    def __call__(self, data: bytes) -> bytes:
+        now = time.monotonic()
+        self._waiting += data
+        self._allowed = min(self._allowed + (now - self._then) * self._per_s, float(len(self._waiting)))
+        self._then, count = now, int(self._allowed)
+        self._allowed -= count
+        through, self._waiting = self._waiting[:count], self._waiting[count:]
+        return through
+
+
+def main(baudrate: int, record: Path) -> None:
+    """record: .npy, (n, channels) int16: what was played, from the first sound to the last."""
+    with VirtualPort() as port:
+        port.from_host = Paced(baudrate)
+        print(json.dumps({"port": port.path}), flush=True)
+        sys.stdin.readline()
+        np.save(record, port.recording.counts)
+        print(json.dumps({"slipped": port.slipped}), flush=True)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), Path(sys.argv[2]))

@@ -1,0 +1,298 @@
+"""A stream sends what it should, to the byte, and whatever goes wrong ends it in silence with one message."""
+
+from __future__ import annotations
+
+import gc
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from stream_sink import ClockSink, check_sink
+
+from hnf_core.actuators.chain import Chain, counts_of
+from hnf_core.actuators.limits import COUNTS, Limits
+from hnf_core.actuators.sink import SinkFormat
+from hnf_core.actuators.source import Samples
+from hnf_core.actuators.sources.recorded import Recorded
+from hnf_core.actuators.stream import Stream
+from hnf_core.errors import DeviceError, UsageError
+
+LIMITS = Limits(30.0, slew_per_s=2.0 * np.pi * 1000.0, sustained=0.3)
+LONG_S = 20.0
+
+
+def noise(seconds: float, rate: float = 10000.0, channels: int = 1) -> NDArray[np.float32]:
+    return np.random.default_rng(5).normal(0.0, 5.0, (round(seconds * rate), channels)).astype(np.float32)
+
+
+class Failing:
+    """Noise that goes wrong after some blocks: action is called instead of the next."""
+
+    def __init__(self, blocks: int, action: object) -> None:
+        self.rate_hz, self.channels = 10000.0, 1
+        self._left, self._action = blocks, action
+
+    def read(self, frames: int) -> Samples:
+        self._left -= 1
+        if self._left < 0:
+            self._action()  # type: ignore[operator]
+        return np.full((frames, 1), 10.0, np.float32)
+
+
+def comes(condition: Callable[[], bool]) -> bool:
+    """Whether it becomes true; a minute is for a machine that is very busy."""
+    until = time.monotonic() + 60.0
+    while not condition() and time.monotonic() < until:
+        time.sleep(0.002)
+    return condition()
+
+
+def at_rest() -> bool:
+    """No thread of any stream is left, and the interpreter is as it was."""
+    gone = comes(lambda: not any(thread.name.startswith("hnf-") for thread in threading.enumerate()))
+    return gone and gc.get_freeze_count() == 0
+
+
+def slope(counts: NDArray[np.int16]) -> int:
+    """Largest change from frame to frame, from silence to silence."""
+    return int(np.abs(np.diff(counts.astype(np.int64), axis=0, prepend=0, append=0)).max(initial=0))
+
+
+def test_the_clock_keeps_the_contract_of_a_sink() -> None:
+    check_sink(ClockSink(queue_frames=150))
+
+
+@pytest.mark.parametrize(
+    ("source_hz", "sink_hz", "channels", "block_s", "ahead"),
+    [(10000.0, 10000.0, 1, 0.005, 3), (2800.0, 10000.0, 1, 0.005, 1), (8000.0, 8000.0, 16, 0.02, 3)],
+)
+def test_what_the_sink_gets_is_what_the_chain_makes_at_once(
+    source_hz: float, sink_hz: float, channels: int, block_s: float, ahead: int
+) -> None:
+    samples = noise(0.4, source_hz, channels)
+    sink = ClockSink(sink_hz, channels, round(0.015 * sink_hz))
+    with Stream(Recorded(samples, source_hz), sink, LIMITS, block_s=block_s, ahead_blocks=ahead) as stream:
+        assert stream.start() == sink.format
+        assert stream.wait(60.0)
+    assert stream.report.problem == ""
+    expected = counts_of(Recorded(samples, source_hz), sink.format, LIMITS)
+    assert np.array_equal(sink.counts, expected)
+    report = stream.report
+    assert report.state == "ended"
+    assert report.frames == len(expected)
+    assert report.peak == np.abs(expected.astype(np.int64)).max() / COUNTS
+    assert report.played_s == pytest.approx(len(expected) / sink_hz)
+    assert report.compute_p99_ms > 0.0
+    assert report.to_json()["underruns"] == report.underruns
+    assert sink.calls == ["open", "finish", "stop", "close"]
+    assert at_rest()
+
+
+def test_one_channel_goes_to_all_of_the_device_and_two_do_not_go_to_three() -> None:
+    one = counts_of(Recorded(noise(0.05), 8000.0), SinkFormat(8000.0, 3, 100, "three"), LIMITS)
+    assert np.array_equal(one[:, 0], one[:, 2])
+    with pytest.raises(UsageError, match="2 channels"):
+        Chain(Recorded(noise(0.05, channels=2), 8000.0), SinkFormat(8000.0, 3, 100, "three"), LIMITS)
+    sink = ClockSink(channels=3)
+    with pytest.raises(UsageError, match="2 channels"):
+        Stream(Recorded(noise(0.05, channels=2), 8000.0), sink, LIMITS).start()
+    assert not sink.is_open
+    assert at_rest()
+
+
+def test_stages_stand_between_source_and_limiter_and_never_see_what_is_no_number() -> None:
+    class Louder:
+        def process(self, block: Samples) -> Samples:
+            assert np.isfinite(block).all()
+            return block * np.float32(1e6)
+
+    samples = noise(0.1)
+    samples[::7] = np.nan
+    chain = Chain(Recorded(samples, 2800.0), SinkFormat(10000.0, 1, 100, "x"), LIMITS, [Louder()])
+    counts = np.concatenate([chain.block(50) for _ in range(100)])
+    assert chain.nonfinite == len(samples[::7])
+    assert np.abs(counts.astype(np.int64)).max() <= LIMITS.peak_counts
+    assert chain.limiter.limited > 0
+
+
+def test_stopping_is_soft_at_once_and_from_any_thread() -> None:
+    sink = ClockSink()
+    stream = Stream(Recorded(noise(LONG_S), 10000.0), sink, LIMITS)
+    stream.start()
+    assert comes(lambda: len(sink.counts) > 0)
+    threads = [threading.Thread(target=stream.stop) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(5.0)
+    assert stream.wait(0.0)
+    assert sink.calls == ["open", "stop", "close"]
+    assert stream.report.problem == ""
+    assert at_rest()
+    with pytest.raises(UsageError, match="plays once"):
+        stream.start()
+
+
+def test_stopping_before_the_start_is_harmless() -> None:
+    stream = Stream(Recorded(noise(0.1), 10000.0), ClockSink(), LIMITS)
+    stream.stop()
+    assert stream.wait(0.0)
+    assert stream.report.state == "ended"
+    with pytest.raises(UsageError):
+        stream.start()
+
+
+def test_a_source_may_stop_its_own_stream() -> None:
+    sink = ClockSink()
+    stream = Stream(Failing(5, lambda: stream.stop()), sink, LIMITS)
+    stream.start()
+    assert stream.wait(60.0)
+    assert stream.report.problem == ""
+    assert at_rest()
+
+
+@pytest.mark.parametrize("error", [DeviceError("gone.", remedy="Plug it in."), ValueError("odd"), MemoryError()])
+def test_a_source_that_fails_ends_in_silence_and_one_message(error: Exception) -> None:
+    def fail() -> None:
+        raise error
+
+    sink = ClockSink()
+    stream = Stream(Failing(10, fail), sink, LIMITS)
+    stream.start()
+    assert stream.wait(60.0)
+    report = stream.report
+    assert (str(error) or type(error).__name__) in report.problem
+    assert sink.counts[-1] == 0
+    assert abs(int(sink.counts[-60])) > 5000
+    assert slope(sink.counts) < 1200, "it fades"
+    assert sink.calls[-2:] == ["stop", "close"]
+    assert at_rest()
+
+
+def test_a_source_that_hangs_holds_up_neither_the_device_nor_a_stop() -> None:
+    hang = threading.Event()
+    sink = ClockSink()
+    stream = Stream(Failing(10, lambda: hang.wait(30.0)), sink, LIMITS)
+    stream.start()
+    assert comes(lambda: len(sink.counts) == 500), "all that was ready leaves"
+    stream.stop()
+    assert stream.wait(0.0)
+    assert "does not answer" in stream.report.problem
+    hang.set()
+    assert at_rest()
+
+
+def test_a_device_that_fails_ends_the_stream_and_another_plays_at_once() -> None:
+    samples = noise(0.2)
+    broken = ClockSink(fails_after=700)
+    first = Stream(Recorded(samples, 10000.0), broken, LIMITS)
+    first.start()
+    assert first.wait(60.0)
+    assert first.report.problem == "the clock has stopped. Wind it up."
+    whole = ClockSink()
+    with Stream(Recorded(samples, 10000.0), whole, LIMITS) as second:
+        second.start()
+        assert second.wait(60.0)
+    assert np.array_equal(whole.counts, counts_of(Recorded(samples, 10000.0), whole.format, LIMITS))
+    assert at_rest()
+
+
+def test_a_device_that_does_not_open_is_told_where_it_is_started() -> None:
+    sink = ClockSink()
+    sink.open()
+    with pytest.raises(DeviceError, match="taken"), Stream(Recorded(noise(0.1), 10000.0), sink, LIMITS) as stream:
+        stream.start()
+    assert stream.wait(60.0)
+    assert at_rest()
+
+
+def test_any_fault_of_a_sink_is_told_too() -> None:
+    sink = ClockSink()
+    sink.status = lambda: 1 / 0  # type: ignore[assignment,method-assign]
+    stream = Stream(Recorded(noise(0.2), 10000.0), sink, LIMITS)
+    stream.start()
+    assert stream.wait(60.0)
+    assert "ZeroDivisionError" in stream.report.problem
+    assert at_rest()
+
+
+def test_a_pause_fades_out_holds_and_fades_in_where_it_was() -> None:
+    samples = np.full((3000, 1), 10.0, np.float32)
+    sink, source = ClockSink(), Recorded(samples, 10000.0)
+    with Stream(source, sink, LIMITS) as stream:
+        stream.start()
+        assert comes(lambda: len(sink.counts) > 300)
+        stream.pause()
+        assert comes(lambda: len(sink.counts) > 500 and not sink.counts[-400:].any())
+        held = source.position_s
+        assert stream.report.state == "paused"
+        count = len(sink.counts)
+        assert comes(lambda: len(sink.counts) > count + 200)
+        assert source.position_s == held < 0.3
+        stream.resume()
+        assert stream.wait(60.0)
+    counts = sink.counts[:, 0]
+    assert slope(sink.counts) < 450, "a fade of 40 frames from 10 m/s² to 0 is nowhere steeper"
+    sounding = np.count_nonzero(counts)
+    assert len(samples) - 2 <= sounding <= len(samples) + 80, "nothing is skipped; two fades come on top"
+
+
+def test_what_changes_in_the_source_is_heard_without_a_stop() -> None:
+    source, sink = Recorded(np.full((100, 1), 10.0, np.float32), 10000.0, loop=True), ClockSink()
+    with Stream(source, sink, LIMITS) as stream:
+        stream.start()
+        assert comes(lambda: stream.report.level_m_s2 == pytest.approx(10.0, rel=0.01))
+        source.set_gain(0.5)
+        assert comes(lambda: stream.report.level_m_s2 == pytest.approx(5.0, rel=0.01))
+        source.swap(np.full((100, 1), 4.0, np.float32))
+        assert comes(lambda: stream.report.level_m_s2 == pytest.approx(2.0, rel=0.01))
+        position = len(sink.counts)
+    assert int(sink.counts[position - 1, 0]) == round(2.0 / 30.0 * COUNTS)
+    assert int(np.abs(np.diff(sink.counts[:position, 0].astype(np.int64))).max()) < 450
+
+
+def test_a_stream_that_nothing_stops_ends_with_the_interpreter(tmp_path: Path) -> None:
+    told = tmp_path / "told"
+    code = f"""
+import sys; sys.path[:0] = {[str(Path(__file__).parent), str(Path(__file__).parents[2])]!r}
+from pathlib import Path
+import numpy as np
+from stream_sink import ClockSink
+from hnf_core.actuators.limits import Limits
+from hnf_core.actuators.sources.recorded import Recorded
+from hnf_core.actuators.stream import Stream
+class Telling(ClockSink):
+    def close(self):
+        super().close()
+        Path({str(told)!r}).write_text(" ".join(self.calls))
+Stream(Recorded(np.ones((500, 1)), 10000.0, loop=True), Telling(), Limits(30.0)).start()
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
+    assert (run.returncode, run.stderr) == (0, "")
+    assert told.read_text() == "open stop close"
+
+
+def test_while_it_plays_the_interpreter_is_calm_and_after_it_as_before() -> None:
+    before = sys.getswitchinterval()
+    streams = [Stream(Recorded(noise(LONG_S), 10000.0), ClockSink(), LIMITS) for _ in range(2)]
+    for stream in streams:
+        stream.start()
+        assert sys.getswitchinterval() < 0.001
+        assert gc.get_freeze_count() > 0
+    streams[0].stop()
+    assert sys.getswitchinterval() < 0.001
+    streams[1].stop()
+    assert at_rest()
+    assert sys.getswitchinterval() == before
+
+
+def test_a_stream_of_nothing_ahead_is_refused() -> None:
+    for words in ({"block_s": 0.0}, {"block_s": 5.0}, {"ahead_blocks": 0}, {"block_s": float("nan")}):
+        with pytest.raises(UsageError, match="cannot be made"):
+            Stream(Recorded(noise(0.1), 10000.0), ClockSink(), LIMITS, **words)  # type: ignore[arg-type]

@@ -1,0 +1,76 @@
+"""What a stream tells of itself, and what a device's coils keep from one stream to the next."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from stream_sink import ClockSink
+
+from hnf_core.actuators.limits import Limits
+from hnf_core.actuators.report import Durations, StreamReport
+from hnf_core.actuators.sources.recorded import Recorded
+from hnf_core.actuators.stream import Stream
+from hnf_core.actuators.warmth import Warmth
+
+LIMITS = Limits(30.0, sustained=0.3, thermal_s=10.0)
+
+
+@given(st.lists(st.floats(0.0, 0.2), min_size=1, max_size=300), st.floats(1.0, 100.0))
+def test_a_percentile_is_at_most_a_bin_above_the_true_one(seconds: list[float], percent: float) -> None:
+    durations = Durations()
+    for value in seconds:
+        durations.note(value)
+    true = float(np.percentile(np.asarray(seconds) * 1e3, percent, method="inverted_cdf"))
+    told = durations.percentile_ms(percent)
+    assert told >= min(true, 100.0) - 1e-9
+    assert told <= true + 0.01 + 1e-9 or true >= 100.0 - 1e-9
+    assert durations.highest_ms == pytest.approx(max(seconds) * 1e3)
+    assert durations.count == len(seconds)
+
+
+def test_of_nothing_there_is_no_percentile() -> None:
+    assert Durations().percentile_ms(99.0) == 0.0
+
+
+def test_a_report_is_json() -> None:
+    record = json.loads(json.dumps(StreamReport(problem="gone").to_json()))
+    assert record["problem"] == "gone"
+    assert {"blocks", "underruns", "compute_p99_ms", "peak", "limited_samples"} <= set(record)
+
+
+def test_a_coil_cools_by_its_own_time_constant_and_not_by_a_new_stream() -> None:
+    now = [100.0]
+    warmth = Warmth(lambda: now[0])
+    assert warmth.heat("a", LIMITS, 2).tolist() == [0.0, 0.0]
+    warmth.note("a", LIMITS, np.array([0.9, 0.1]))
+    assert warmth.heat("a", LIMITS, 2) == pytest.approx([0.9, 0.1])
+    assert warmth.heat("b", LIMITS, 2).tolist() == [0.0, 0.0]
+    now[0] += 10.0
+    assert warmth.heat("a", LIMITS, 2) == pytest.approx(np.array([0.9, 0.1]) * np.exp(-1.0))
+    assert warmth.heat("a", LIMITS, 3) == pytest.approx([0.9 * np.exp(-1.0)] * 3)
+
+
+def test_heat_is_told_in_the_limits_it_is_asked_for() -> None:
+    warmth = Warmth(lambda: 0.0)
+    warmth.note("a", LIMITS, np.array([0.4]))
+    assert warmth.heat("a", Limits(30.0, sustained=0.6), 1) == pytest.approx([0.1])
+    assert warmth.heat("a", Limits(60.0, sustained=0.15), 1) == pytest.approx([0.4])
+    assert warmth.heat("a", Limits(30.0, sustained=0.1), 1) == pytest.approx([1.0])
+
+
+def test_one_stream_after_another_is_as_warm_as_one_that_went_on() -> None:
+    limits = Limits(30.0, sustained=0.1, thermal_s=1.0)
+    sink, last = ClockSink(), 32768
+    for _ in range(3):
+        with Stream(Recorded(np.full((500, 1), 30.0, np.float32), 10000.0), sink, limits) as stream:
+            stream.start()
+            assert stream.wait(60.0)
+        highest = int(np.abs(sink.counts[-540:].astype(np.int64)).max())
+        assert highest < last
+        last = highest
+        sink.written.clear()
+    assert last < 0.5 * 32767
