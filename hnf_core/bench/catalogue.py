@@ -17,7 +17,14 @@ def _stream(options: Options) -> list[Row]:
     return rows(options)
 
 
+def _faults(options: Options) -> list[Row]:
+    from .faults import rows
+
+    return rows(options)
+
+
 BENCHES = (
     Bench("preview", "a changed force key → new samples, from what is there and all anew", _preview),
     Bench("stream", "a stream for 10 minutes on a virtual device, busy or with 16 channels: underruns, bytes", _stream),
+    Bench("faults", "whatever goes wrong with a device on a serial port, until it is silent, 100 times each", _faults),
 )

@@ -42,8 +42,9 @@ def open_port(port: str, baudrate: int) -> Any:
 
 def gone(port: str, error: Exception) -> DeviceError:
     """What a port that was open says when its plug is pulled."""
+    words = _short(error)
     return DeviceError(
-        f"the device is gone ({_short(error)}).",
+        f"the device is gone{'' if 'returned no data' in words else f' ({words})'}.",
         where=port,
         remedy="Check cable and power, plug it in again, then start again.",
     )

@@ -13,6 +13,9 @@ from .rate_watch import RateWatch
 ANSWER_S = 0.1
 """A device that plays sends a CREDIT every 2 ms; after so long without one it is not there any more."""
 
+AWAKE_S = 0.04
+"""Longest that a read takes where nothing holds it up."""
+
 STUCK_S = 0.25
 """Longest that a device may have frames and play none."""
 
@@ -46,15 +49,16 @@ class Session:
     damaged: int = 0
     errors: int = 0
     _watch: RateWatch = field(default_factory=lambda: RateWatch(1.0))
-    _heard_s: float = 0.0
-    _moved_s: float = 0.0
+    _looked_s: float = 0.0
+    _unheard_s: float = 0.0
+    _unmoved_s: float = 0.0
 
     def begin(self, number: int, rate_hz: int, now_s: float) -> None:
         """A START with this session number is sent."""
         self.number, self.credit, self.refusal, self.sent = number, None, None, 0
         self.earlier, self.played = self.earlier + self.played, 0
         self._watch = RateWatch(rate_hz)
-        self._heard_s = self._moved_s = now_s
+        self._looked_s, self._unheard_s, self._unmoved_s = now_s, 0.0, 0.0
 
     def end(self) -> None:
         """A STOP is sent: whatever comes is history."""
@@ -93,19 +97,23 @@ class Session:
             elif isinstance(message, Caps):
                 self.greetings -= 1
                 if self.number is not None and self.greetings < 0:
-                    self.fail("it has restarted, or another program speaks to it too.", RESTART)
+                    self.fail("the device has restarted, or another program speaks to it too.", RESTART)
                 self.caps = message
         if self.number is not None and credits:
             self._credited(credits, now_s)
 
-    def check(self, now_s: float) -> None:
-        """Called again and again, also when nothing comes."""
+    def look(self, now_s: float) -> None:
+        """Called by who reads, after each read. What a computer that was busy elsewhere did not read in the meantime
+        is no silence of the device's: only time in which it was awake counts."""
+        awake_s, self._looked_s = min(now_s - self._looked_s, AWAKE_S), now_s
         if self.number is None:
             return
-        if now_s - self._heard_s > ANSWER_S:
-            self.fail("it does not answer any more.", RESTART)
-        elif now_s - self._moved_s > STUCK_S and self.owed > 0:
-            self.fail("it takes no more samples.", RESTART)
+        self._unheard_s += awake_s
+        self._unmoved_s = self._unmoved_s + awake_s if self.owed > 0 else 0.0
+        if self._unheard_s > ANSWER_S:
+            self.fail("the device does not answer any more.", RESTART)
+        elif self._unmoved_s > STUCK_S:
+            self.fail("the device takes no more samples.", RESTART)
 
     def fail(self, what: str, remedy: str) -> None:
         """The first problem is the one that is told."""
@@ -131,22 +139,24 @@ class Session:
         if not mine:
             # Those of the session before are still on their way when ours has just begun.
             if self.credit is not None:
-                self.fail("it plays for another program.", "Close the other program, then start again.")
+                self.fail("the device plays for another program.", "Close the other program, then start again.")
             return
-        self._heard_s, last = now_s, mine[-1]
+        self._unheard_s, last = 0.0, mine[-1]
         played = self.played + ((last.played - self.played) & 0xFFFFFFFF)
         if played - self.played < 0x80000000:
-            if played > self.played or self.owed <= 0:
-                self._moved_s = now_s
+            if played > self.played:
+                self._unmoved_s = 0.0
             self.played = played
         self.credit = last
         if self.owed < 0:
-            self.fail(f"it says that it has played {-self.owed} frames that it never got.", "Update its firmware.")
+            self.fail(
+                f"the device says that it has played {-self.owed} frames that it never got.", "Update its firmware."
+            )
         if any(found.state is not State.PLAYING for found in mine):
             self._watch.restart()
         elif (rate := self._watch.note(now_s, self.played)) is not None:
             self.fail(
-                f"it says {self._watch.rate_hz:g} Hz and plays at {rate:.0f} Hz.",
+                f"the device says {self._watch.rate_hz:g} Hz and plays at {rate:.0f} Hz.",
                 f"Correct the sample clock in its firmware, or ask for {rate:.0f} Hz.",
             )
         if last.state is State.FAULT:
@@ -159,15 +169,15 @@ class Session:
         if self.credit is None or message.code not in HARMLESS | SOMEBODY_ELSE:
             self.fail(self._words(), RESTART)
         elif message.code in SOMEBODY_ELSE:
-            self.fail("another program speaks to it too.", "Close the other program, then start again.")
+            self.fail("another program speaks to the device too.", "Close the other program, then start again.")
         else:
             self.errors += 1
 
     def _words(self) -> str:
         said = self.refusal
         if said is None:
-            return "it has stopped because of a fault."
-        return f"it refuses: {said.text or f'error {said.code}.'}"
+            return "the device has stopped because of a fault."
+        return f"the device refuses: {said.text or f'error {said.code}.'}"
 
 
 RESTART = "Check its power and its cable, then start again."

@@ -84,6 +84,7 @@ class VirtualDevice:
         self._playout.command = Command.OFF
         self._warm, self._squares, self._since = np.full(1, transducer.ambient_c), np.zeros(1), 0
         self._session = self._position = self._lost = self._crc_before = 0
+        self._known = False  # whether the session is of a stream since the last HELLO
         self._last = np.zeros(1, dtype=np.int16)
         self._credited = self._told = self._fed = 0
         self._told_state, self._status_due = State.IDLE, False
@@ -198,7 +199,9 @@ class VirtualDevice:
         if self._mode is not State.PLAYING:
             self._mode = after
             return
-        self._after = after
+        # FAULT outranks IDLE, and that READY.
+        if self._playout.command is Command.RUN or after is State.FAULT or self._after is State.READY:
+            self._after = after
         if self._playout.command is not Command.DROP:
             self._playout.command = command
 
@@ -216,7 +219,7 @@ class VirtualDevice:
             self._complain(Code.VERSION, f"I speak version {version} only: use a host program of that version.")
             return
         out, can = self._playout, self.abilities
-        out.command, self._mode = Command.OFF, State.READY
+        out.command, self._mode, self._known = Command.OFF, State.READY, False
         self._crc_before, self._lost = self._decoder.crc_errors, 0
         out.underruns = out.limited = 0
         self._errors.clear()
@@ -243,7 +246,7 @@ class VirtualDevice:
         self._squares = np.zeros(start.channels)
         self._last = np.zeros(start.channels, dtype=np.int16)
         self._session, self._position, self.rate_hz = start.session, 0, start.rate_hz
-        self._mode = State.PLAYING
+        self._mode, self._known = State.PLAYING, True
         self._credit()
         self._status_due = True
 
@@ -269,7 +272,7 @@ class VirtualDevice:
     @_obey.register
     def _(self, samples: Samples) -> None:
         out = self._playout
-        if self._mode in (State.IDLE, State.FAULT) or samples.session != self._session:
+        if not self._known or samples.session != self._session:
             self._complain(Code.SESSION, "These samples belong to no stream of mine: another program has the port.")
             return
         if self._mode is not State.PLAYING or out.command is not Command.RUN:

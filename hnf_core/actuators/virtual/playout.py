@@ -59,7 +59,8 @@ class Playout:
     """Frames in, what the converter gets out. Its sample clock is what advance() says.
 
     It begins once half the queue is full, or after a ramp's time with less; as the host's frames are, for they begin
-    softly. With nothing left it fades to silence, counts an underrun, and begins again with a soft start of its own.
+    softly. With nothing left it fades to silence, counts an underrun, and begins again with a soft start of its own, on
+    top of what still fades: to wait for that would sound on for 4 ms longer when the host dies just then.
     """
 
     def __init__(self, form: Format) -> None:
@@ -68,6 +69,7 @@ class Playout:
         self.played = self.underruns = self.limited = 0
         self._queue: Counts = np.zeros((0, form.channels), dtype=np.int16)
         self._out = np.zeros(form.channels, dtype=np.int64)
+        self._fading = np.zeros(form.channels, dtype=np.int64)
         self._gain, self._waited = form.ramp, 0
 
     @property
@@ -113,19 +115,25 @@ class Playout:
         if self.command in (Command.DROP, Command.OFF):
             self._queue = self._queue[:0]
             if self.phase is Phase.SOUNDING:
-                self.phase = Phase.FADING
-        elif self.phase is Phase.QUIET and self.fill:
-            if self.command is Command.RUN and self.fill < -(-self.form.queue // 2):
-                self._waited += 1
-                if self._waited < self.form.ramp:
-                    return
+                self._let_fade()
+        elif self.phase is Phase.SOUNDING:
+            if not self.fill:
+                self.underruns += self.command is Command.RUN
+                self._let_fade()
+        elif self.fill and self._may_begin():
             self.phase = Phase.SOUNDING
-        elif self.phase is Phase.SOUNDING and not self.fill:
-            self.underruns += self.command is Command.RUN
-            self.phase, self._gain, self._waited = Phase.FADING, 0, 0
+
+    def _may_begin(self) -> bool:
+        if self.command is Command.DRAIN or self.fill >= -(-self.form.queue // 2):
+            return True
+        self._waited += 1
+        return self._waited >= self.form.ramp
+
+    def _let_fade(self) -> None:
+        self.phase, self._fading, self._gain, self._waited = Phase.FADING, self._out.copy(), 0, 0
 
     def _rest(self, most: int) -> int:
-        """Ticks of silence, of which _decide() has had the first."""
+        """Of at most so many ticks, those before it may begin; _decide() has had the first."""
         if not self.fill or self.command in (Command.DROP, Command.OFF):
             return most
         count = min(most, self.form.ramp - self._waited)
@@ -143,7 +151,7 @@ class Playout:
             self._gain += count
         else:
             wanted = self._queue[:count].astype(np.int64)
-        room[:count] = self._limit(wanted)
+        room[:count] = self._limit(wanted + self._faded(count))
         self._out = room[count - 1].astype(np.int64)
         self._queue = self._queue[count:]
         self.played += count
@@ -161,11 +169,17 @@ class Playout:
         return found
 
     def _fade(self, room: Counts) -> int:
-        size, step = np.abs(self._out), self.form.step
-        count = min(len(room), max(1, -(-int(size.max()) // step)))
-        down = step * np.arange(1, count + 1)[:, None]
-        room[:count] = np.sign(self._out) * np.maximum(size - down, 0)
-        self._out = room[count - 1].astype(np.int64)
-        if not self._out.any():
+        left = max(1, -(-int(np.abs(self._fading).max()) // self.form.step))
+        count = self._rest(min(len(room), left))
+        room[:count] = self._faded(count)
+        self._out = self._fading
+        if not self._fading.any():
             self.phase = Phase.QUIET
         return count
+
+    def _faded(self, count: int) -> Whole:
+        """(count, channels): what fades, on its way to silence."""
+        down = self.form.step * np.arange(1, count + 1)[:, None]
+        found: Whole = np.sign(self._fading) * np.maximum(np.abs(self._fading) - down, 0)
+        self._fading = found[-1]
+        return found

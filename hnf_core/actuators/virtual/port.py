@@ -58,7 +58,7 @@ class VirtualPort:
         self.to_host: Wire = _as_it_is
         self._folder = tempfile.TemporaryDirectory(prefix="hnf-virtual-")
         self.path = str(Path(self._folder.name) / "port")
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._ends: tuple[int, int] | None = None
         self._held = b""
         self._closing = threading.Event()
