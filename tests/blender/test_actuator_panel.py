@@ -1,0 +1,294 @@
+"""Choosing an output and playing on it: buttons, the panel, the timeline, speakers in place of a sound card."""
+
+from __future__ import annotations
+
+import time
+
+import bpy
+import numpy as np
+import pytest
+from builders import add_plane
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from job_scene import small_scene
+from panel_recorder import drawn
+from player_builders import RATE_HZ, chosen, tone
+
+import hnf_blender.ui
+from hnf_blender import actuator, preview, translations
+from hnf_blender.actuator import choice, finding
+from hnf_blender.actuator.choice import choose_output, chosen_output, plays_whole, title_of
+from hnf_blender.actuator.link import LINK
+from hnf_blender.actuator.state import ACTUATOR, SPEAKERS, VIRTUAL, ActuatorFacts, Output, Phase
+from hnf_blender.preview import current
+from hnf_blender.preview.facts import PREVIEW
+from hnf_blender.preview.outputs import Outputs
+from hnf_blender.preview.timeline import Follower, sound_ahead
+from hnf_blender.preview.whole import limited
+from hnf_blender.rooms import classes_of
+from hnf_blender.ui.actuator_panel import PHASES
+from hnf_core.actuators.limits import Limits
+from hnf_core.errors import FileError
+
+LIMIT_S = 40.0
+UI = {each.__name__: each for each in classes_of("hnf_blender.ui", hnf_blender.ui.MODULES)}
+
+
+@pytest.fixture(scope="module")
+def switched_on(operators):
+    hnf_blender.ui.register()
+    yield
+    hnf_blender.ui.unregister()
+
+
+@pytest.fixture
+def virtual(switched_on):
+    with chosen(VIRTUAL):
+        yield
+        folder = LINK.folder
+        current.PLAYER.release()
+        LINK.release()
+        PREVIEW.clear()
+        assert folder is None or until(lambda: not folder.exists())
+
+
+@pytest.fixture
+def stroke(warm_bake, virtual):
+    """A baked stroke whose signal is there."""
+    PREVIEW.clear()
+    small_scene()
+    assert bpy.ops.hnf.bake() == {"FINISHED"}
+    obj = bpy.data.objects["Along"]
+    current.refresh(obj, bpy.context, wait=True)
+    return obj
+
+
+def until(so) -> bool:
+    end = time.monotonic() + LIMIT_S
+    while time.monotonic() < end:
+        actuator.tick(bpy.context)
+        if so():
+            return True
+        time.sleep(0.005)
+    return False
+
+
+def panel() -> object:
+    return drawn(UI["HNF_PT_actuator"])
+
+
+def test_speakers_are_what_is_chosen_where_nothing_was(switched_on) -> None:
+    assert chosen_output() == SPEAKERS
+    shown = panel()
+    assert "Speakers (Blender)" in shown.words
+    assert "limits are not kept" in shown.words.replace("\n", " ")
+    assert "hnf.live_touch" not in shown.operators
+    for button in (bpy.ops.hnf.actuator_test, bpy.ops.hnf.live_touch):
+        with pytest.raises(RuntimeError, match="choose an actuator"):
+            button()
+
+
+def test_the_choice_is_the_machines_not_the_files(virtual, tmp_path) -> None:
+    path = tmp_path / "scene.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    bpy.ops.hnf.output_choose(target=SPEAKERS)
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    assert chosen_output() == SPEAKERS
+
+
+def test_a_stroke_is_felt_on_the_virtual_actuator(stroke) -> None:
+    assert bpy.ops.hnf.preview_play() == {"FINISHED"}
+    assert PREVIEW.sounding == "Along"
+    assert until(lambda: current.PLAYER.is_sounding)
+    shown = panel()
+    assert "Playing" in shown.words
+    assert "m/s²" in shown.words
+    assert until(lambda: not current.PLAYER.is_playing)
+    assert ACTUATOR.facts.problem == ""
+    assert LINK.newest.status.peak > 0.0
+    until(lambda: ACTUATOR.facts.phase is Phase.READY)
+    assert "free for others" in panel().words.replace("\n", " ")
+
+
+def test_a_looped_stroke_goes_on_as_a_and_as_now(stroke) -> None:
+    bpy.context.scene.hnf.loop = True
+    bpy.ops.hnf.preview_ab(action="KEEP")
+    assert bpy.ops.hnf.preview_play() == {"FINISHED"}
+    assert until(lambda: current.PLAYER.is_sounding)
+    began = LINK.began
+    stroke.hnf_stroke.seed += 1
+    current.refresh(stroke, bpy.context, wait=True)
+    bpy.ops.hnf.preview_ab(action="SWITCH")
+    bpy.ops.hnf.preview_ab(action="SWITCH")
+    assert until(lambda: LINK.newest.status.played_s > 0.6)
+    assert LINK.began is began
+    assert PREVIEW.sounding == "Along"
+    assert bpy.ops.hnf.preview_stop() == {"FINISHED"}
+    assert not current.PLAYER.is_playing
+    assert until(lambda: ACTUATOR.facts.phase is Phase.READY)
+
+
+def test_the_test_button_plays_one_second(virtual) -> None:
+    bpy.context.scene.hnf.actuator = "own"
+    bpy.context.scene.hnf.own_peak_m_s2 = 20.0
+    assert bpy.ops.hnf.actuator_test() == {"FINISHED"}
+    assert until(lambda: LINK.newest is not None and LINK.newest.status.peak > 0.05)
+    assert until(lambda: not LINK.is_playing)
+    assert LINK.problem == ""
+    assert LINK.newest.status.peak == pytest.approx(0.1, abs=0.01)
+    assert LINK.newest.status.limited == 0
+
+
+def test_choosing_another_output_silences_this_one(virtual) -> None:
+    current.PLAYER.play(tone(5.0, loop=True))
+    assert until(lambda: LINK.is_sounding)
+    assert bpy.ops.hnf.output_choose(target=VIRTUAL) == {"FINISHED"}
+    assert LINK.is_playing  # the same one
+    assert bpy.ops.hnf.output_choose(target=SPEAKERS) == {"FINISHED"}
+    assert not LINK.is_running
+    assert until(lambda: ACTUATOR.facts.phase is Phase.OFF)
+
+
+def test_another_file_silences_it(virtual) -> None:
+    current.PLAYER.play(tone(5.0, loop=True))
+    assert until(lambda: LINK.is_sounding)
+    actuator.leave_file()
+    assert not LINK.is_running
+    preview.enter_file()
+    assert not current.PLAYER.is_playing
+
+
+def test_an_address_of_her_own_is_checked(virtual) -> None:
+    assert bpy.ops.hnf.output_other(target="osc:127.0.0.1:9000") == {"FINISHED"}
+    assert chosen_output() == "osc:127.0.0.1:9000"
+    assert "osc:127.0.0.1:9000" in panel().words
+    for wrong in ("osc:127.0.0.1", "nowhere", ""):
+        assert bpy.ops.hnf.output_other(target=wrong) == {"CANCELLED"}
+    assert chosen_output() == "osc:127.0.0.1:9000"
+
+
+def test_devices_are_looked_for_beside_blender(virtual) -> None:
+    assert bpy.ops.hnf.actuator_find() == {"FINISHED"}
+    assert ACTUATOR.seeking
+    assert "Looking for devices" in panel().words
+    assert until(lambda: not ACTUATOR.seeking)
+    assert ACTUATOR.looked
+    assert not any("looked for" in line for line in ACTUATOR.missing)
+
+
+def test_what_was_found_can_be_chosen_and_told_apart(virtual) -> None:
+    finding.take(
+        '{"devices": [{"target": "serial:/dev/ttyACM0", "title": "Pico", "facts": "USB 2e8a:000a"},'
+        ' {"target": "audio:Card", "title": "Card", "facts": "48000 Hz, 2 channels"}],'
+        ' "without": ["python-osc"], "missing": ["the Python package \'python-osc\' is not installed."]}'
+    )
+    menu = drawn(UI["HNF_MT_output"])
+    assert "Pico (/dev/ttyACM0)" in menu.words
+    assert ("hnf.output_choose", "target", "audio:Card") in menu.given
+    assert title_of("audio:Card") == "Card (48000 Hz, 2 channels)"
+    assert "python-osc" in panel().words.replace("\n", " ")
+    for damaged in ("", "{}", '{"devices": [{}], "without": [], "missing": []}', "[]"):
+        with pytest.raises(FileError):
+            finding.take(damaged)
+    assert ACTUATOR.outputs == (
+        Output("serial:/dev/ttyACM0", "Pico (/dev/ttyACM0)"),
+        Output("audio:Card", "Card (48000 Hz, 2 channels)"),
+    )
+
+
+def test_without_sounddevice_a_sound_output_is_played_whole(virtual, monkeypatch) -> None:
+    monkeypatch.setattr(choice, "_is_installed", lambda: True)
+    assert not plays_whole("audio")
+    ACTUATOR.without = frozenset({"sounddevice"})
+    choose_output("audio:Card")
+    assert plays_whole("audio:Card")
+    assert not plays_whole(VIRTUAL)
+    shown = panel()
+    assert "Live touch needs sounddevice" in shown.words.replace("\n", " ")
+    assert "hnf.live_touch" not in shown.operators
+    with pytest.raises(RuntimeError, match="install sounddevice"):
+        bpy.ops.hnf.live_touch()
+
+
+bounds = st.builds(
+    Limits,
+    full_scale_m_s2=st.floats(1.0, 50.0),
+    peak=st.floats(0.1, 1.0),
+    slew_per_s=st.floats(1e3, 1e5),
+    sustained=st.floats(0.1, 1.0),
+    thermal_s=st.floats(0.5, 10.0),
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(limits=bounds, level=st.floats(0.0, 200.0), loop=st.booleans(), seed=st.integers(0, 2**16))
+def test_played_whole_it_keeps_the_limits(limits, level, loop, seed) -> None:
+    samples = (level * np.random.default_rng(seed).standard_normal(4000)).astype(np.float32)
+    samples[7] = np.nan
+    out = limited(samples, RATE_HZ, limits, loop=loop).astype(np.float64)
+    assert out.shape[1] == 1
+    assert np.abs(out).max(initial=0.0) <= limits.peak + 1e-7
+    assert out[-1, 0] == 0.0
+    assert np.abs(np.diff(out[:, 0], prepend=0.0)).max() <= limits.slew_per_s / RATE_HZ + 1.0 / 32767
+    if loop:  # over and over, the coil warms to the mean square of one turn
+        assert np.mean(np.square(out)) <= limits.sustained**2 * 1.001 + 1e-6
+
+
+def test_what_speakers_play_stops_where_an_actuator_begins(virtual, monkeypatch) -> None:
+    outputs = Outputs()
+    outputs.play(tone(5.0))
+    assert outputs.is_actuator
+    assert outputs.is_playing
+    ACTUATOR.chosen = SPEAKERS
+    sounded = []
+    monkeypatch.setattr(outputs._speakers, "sound", lambda samples, rate, loop=False: sounded.append(samples))
+    outputs.play(tone(0.1, gain_db=6.0))
+    assert not outputs.is_actuator
+    assert not LINK.is_playing
+    assert np.abs(sounded[0]).max() == pytest.approx(0.2 * 10.0 ** (6.0 / 20.0), rel=0.01)
+    outputs.release()
+
+
+def test_the_timeline_is_felt_and_followed(stroke) -> None:
+    scene, follower = bpy.context.scene, Follower()
+    scene.frame_end = 60
+    follower.start(scene)
+    assert until(lambda: LINK.is_sounding or not LINK.is_playing)
+    follower.stop()
+    assert not LINK.is_playing
+    whole = len(PREVIEW.heard["Along"].signal.samples) / 10_000.0
+    assert sound_ahead(scene, 60.0).duration_s == pytest.approx(whole)
+    scene.frame_set(59)
+    assert sound_ahead(scene, 60.0) is None
+    follower.start(scene)
+    assert follower.begun_at == 59.0
+    assert not LINK.is_playing
+
+
+def test_dragging_the_playhead_is_felt_on_an_actuator_alone(stroke) -> None:
+    scene = bpy.context.scene
+    scene.frame_set(3)
+    Follower().scrub(scene)
+    assert LINK.is_playing
+    assert until(lambda: not LINK.is_playing)
+    assert LINK.newest.status.peak > 0.0
+    assert LINK.newest.status.played_s < 0.2
+    for state in (SPEAKERS, VIRTUAL):
+        ACTUATOR.chosen = state
+        scene.hnf.follow_timeline = state == SPEAKERS
+        Follower().scrub(scene)
+        assert not LINK.is_playing
+
+
+def test_the_panel_says_what_goes_on_and_what_went_wrong(virtual) -> None:
+    add_plane()
+    for phase, (_, words) in PHASES.items():
+        ACTUATOR.facts = ActuatorFacts(phase, 1.5, 0.4, ("Coil at 31.0 °C",), "The port was unplugged.")
+        shown = panel()
+        assert words in shown.words
+        assert "Coil at 31.0 °C" in shown.words
+        assert "The port was unplugged." in shown.words
+        assert ("1.5 m/s²" in shown.words) is (phase in (Phase.PLAYING, Phase.LIVE))
+        assert words in translations.words("de_DE")
+    assert {"hnf.actuator_test", "hnf.preview_stop", "hnf.live_touch"} <= set(shown.operators)
+    assert {"live_pen_n", "live_mouse_n"} <= set(shown.props)
