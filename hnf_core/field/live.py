@@ -94,6 +94,16 @@ class LiveSynthesis:
     def materials(self) -> int:
         return len(self._emission)
 
+    @property
+    def kept_blocks(self) -> int:
+        """Blocks of noise in memory: at most seven of each of the chains."""
+        return self._noise.kept
+
+    @property
+    def made_at_once(self) -> int:
+        """Blocks of noise that a step had to wait for: the hand jumped."""
+        return self._noise.at_once
+
     def step(self, state: LiveState) -> Float:
         """(SAMPLES_PER_STATE,) m/s², finite: from the state before to this one. Raises UsageError for a material that
         is not there."""

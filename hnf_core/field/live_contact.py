@@ -27,6 +27,8 @@ Blend = dict[int, float]
 _GRID = 8192
 _SIZE = 4096
 """Of the fast convolution: the newest block is free of wrap-around where TAIL + a block fit."""
+_ROUNDING = 1e-12
+"""Of the spline, which gives a constant force back to some last bits."""
 _FLOOR, _FINE = 1e-3, 8
 HEAVIEST_OCTAVE = 4
 """Up to 16 N responses are made ready; a heavier hand's when it comes."""
@@ -63,7 +65,8 @@ class LivePressing:
         history = self._history
         history[:-SAMPLES_PER_STATE] = history[SAMPLES_PER_STATE:]
         history[-SAMPLES_PER_STATE:] = _BASIS @ self._states
-        if now is None or history.max() == history.min():
+        highest = history.max()
+        if now is None or highest - history.min() <= _ROUNDING * highest:
             return np.zeros(SAMPLES_PER_STATE)
         spectrum = np.fft.rfft(history, _SIZE)
         rendered = self._newest(spectrum * now)

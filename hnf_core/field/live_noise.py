@@ -41,7 +41,7 @@ class Chain:
         self._window = crossfade_window(size)
         self._ready: dict[int, Single] = {}
         self._making: tuple[int, Single, NDArray[np.complex128]] | None = None
-        self._made, self._owed = 0, 0.0
+        self._made, self._owed, self.at_once = 0, 0.0, 0
 
     @property
     def kept(self) -> int:
@@ -83,6 +83,7 @@ class Chain:
             if self._making is None or self._making[0] != index:
                 self._begin(index)
             self._advance(self.bands)
+            self.at_once += 1
         return self._ready[index]
 
     def _begin(self, index: int) -> None:
@@ -132,11 +133,17 @@ class LiveNoise:
         self._lowest = edges[:-1:ARC_PER_OCTAVE].tolist()
         for chain in (self.time, *self.octaves):
             chain.mixed(np.zeros((1, chain.bands), np.float32), -1, 2)
+            chain.at_once = 0
 
     @property
     def kept(self) -> int:
         """Blocks in memory, of all chains."""
         return sum(chain.kept for chain in (self.time, *self.octaves))
+
+    @property
+    def at_once(self) -> int:
+        """Blocks that nobody had foreseen."""
+        return sum(chain.at_once for chain in (self.time, *self.octaves))
 
     def prepare(self, sample: int, place: float, speed: float) -> None:
         """A step's share of the work ahead. place: s in metres; speed: ds/dt in m/s, signed."""
