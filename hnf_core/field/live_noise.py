@@ -73,8 +73,10 @@ class Chain:
             return
         if self._making is None or self._making[0] != missing:
             self._begin(missing)
-        steps = {ahead: min(to_border / max(abs(pace), 1e-9), FORESIGHT_STEPS), behind: FORESIGHT_STEPS}
-        self._owed += (self.bands - self._made) / max(steps.get(missing, HASTE_STEPS) - 1.0, 1.0)
+        share = self.bands / (FORESIGHT_STEPS if missing in (ahead, behind) else HASTE_STEPS)
+        if missing == ahead:
+            share = max(share, (self.bands - self._made) / max(to_border / max(abs(pace), 1e-9) - 1.0, 1.0))
+        self._owed += share
         bands, self._owed = int(self._owed), self._owed % 1.0
         self._advance(bands)
 

@@ -1,0 +1,170 @@
+"""Each quick part of live synthesis beside its plain reference."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from live_strokes import BLOCK, SEED, error, hand, on
+
+from hnf_core.field.carriers import Carriers
+from hnf_core.field.contact_filter import TAIL
+from hnf_core.field.field import Field, FieldConfig, evaluate, initial_parameters
+from hnf_core.field.linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition, linear_contact, time_band_power
+from hnf_core.field.live_contact import LivePressing, causal_response
+from hnf_core.field.live_emission import LiveEmission
+from hnf_core.field.live_linear import LiveLinear, TimeShare
+from hnf_core.field.live_noise import HASTE_STEPS, KEPT_BLOCKS, LiveNoise
+from hnf_core.field.synthesis import contact_term, prepare
+from hnf_core.field.weights import load_field
+from hnf_core.material.contact import force_response
+from hnf_core.material.library import load_library
+from hnf_core.material.mechanics import PROBES, UNKNOWN
+
+LIBRARY = load_library()
+ROUNDING = 1e-11
+
+
+def untrained(**changed) -> Field:
+    config = FieldConfig(hidden=16, layers=2, **changed)
+    rng = np.random.default_rng(1)
+    parameters = {
+        name: (value + 0.05 * rng.standard_normal(value.shape)).astype(np.float32)
+        for name, value in initial_parameters(config, 3).items()
+    }
+    return Field(config, parameters)
+
+
+FIELDS = {
+    "shared": load_field(),
+    "physics": untrained(),
+    "lines and octaves": untrained(line_gains=True, action_octaves=2),
+    "no direction": untrained(directed=False, action_octaves=1),
+    "one material": untrained(physics=False, action_octaves=3, carriers=Carriers(arc_octaves=0)),
+    "one material with tones": untrained(physics=False),
+    "linear heads": untrained(emission="linear", physics=False),
+}
+ANGLE, SPEED = st.floats(-np.pi, np.pi), st.floats(-4.0, 0.7).map(lambda x: 10.0**x)
+FORCE, MATERIAL = st.floats(-3.0, 1.3).map(lambda x: 10.0**x), st.sampled_from(LIBRARY)
+PROBE = st.sampled_from(sorted(PROBES))
+
+
+def condition(material, mechanics, angle: float, speed: float, force: float, probe: str) -> Condition:
+    direction = np.array([[np.cos(angle), np.sin(angle)]])
+    one = np.ones(1)
+    index, tokens = np.zeros(1, np.int32), material.token[None].astype(float)
+    return Condition(tokens, (mechanics,), index, direction, speed * one, force * one, one > 0.0, probe)
+
+
+def close(found, wanted, tolerance: float = ROUNDING) -> bool:
+    return bool(np.max(np.abs(found - wanted)) <= tolerance * max(float(np.max(np.abs(wanted))), 1e-30))
+
+
+@settings(max_examples=60, deadline=None)
+@given(MATERIAL, ANGLE, SPEED, FORCE, PROBE, st.booleans())
+def test_the_linear_contact_of_one_state(material, angle, speed, force, probe, known):
+    carriers, mechanics = Carriers(), material.mechanics if known else UNKNOWN
+    speed, force = max(speed, SPEED_FLOOR_M_S), max(force, FORCE_FLOOR_N)
+    told = condition(material, mechanics, angle, speed, force, probe)
+    wanted = linear_contact(told, carriers)
+    turned = float(np.arctan2(told.direction[0, 1], told.direction[0, 0]))
+    found = LiveLinear(material.token, mechanics, PROBES[probe], carriers).at(turned, speed, force)
+    assert close(found.power, wanted.power[0])
+    assert close(found.noise, wanted.noise[0])
+    assert close(found.lines, wanted.lines.power[:, 0])
+    assert close(found.normal, wanted.normal[0])
+    assert close(found.resonance, wanted.resonance[0])
+    sounding = found.lines.max(axis=0) > 0.0
+    inside = sounding & (found.low > -2)
+    assert np.array_equal(found.low[inside], wanted.lines.low[0][inside])
+    assert close(
+        TimeShare(carriers).of(found.power, speed), time_band_power(wanted.power, np.array([speed]), carriers)[0]
+    )
+
+
+@pytest.mark.parametrize("name", FIELDS)
+@settings(max_examples=25, deadline=None)
+@given(MATERIAL, ANGLE, SPEED, FORCE, PROBE)
+def test_the_field_of_one_state(name, material, angle, speed, force, probe):
+    told = condition(material, material.mechanics, angle, speed, force, probe)
+    wanted = evaluate(FIELDS[name], told)
+    emission = LiveEmission(FIELDS[name], material.token, material.mechanics, probe)
+    alpha, sigma = emission.at(told.direction[0], speed, force, True)
+    assert close(alpha, wanted.alpha[0, 0], 1e-5)
+    assert close(sigma, wanted.sigma_dt[0], 1e-5)
+    assert not emission.at(told.direction[0], speed, force, False)[0].any()
+    assert not emission.at(told.direction[0], 0.0, force, True)[0].any()
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 8), st.integers(-20_000, 20_000), st.integers(1, 900))
+def test_noise_is_that_of_the_carriers(chain, first, count):
+    carriers = Carriers()
+    noise = NOISE.time if chain == 8 else NOISE.octaves[chain]
+    if chain == 8:
+        wanted = carriers.time_samples(SEED, first, count)
+    else:
+        wanted = carriers.arc_samples(SEED, chain, first, count)
+    weights = np.linspace(-1.0, 1.0, 2 * noise.bands, dtype=np.float32).reshape(2, -1)
+    scale = float(np.sqrt(np.square(weights).sum(axis=1).max()))
+    assert np.abs(noise.mixed(weights, first, count) - weights @ wanted).max() < 2e-6 * scale
+    assert noise.kept <= KEPT_BLOCKS + 1
+
+
+NOISE = LiveNoise(Carriers(), SEED)
+
+
+@pytest.mark.parametrize("speed", [0.02, -0.2, 0.7])
+def test_noise_lies_ready_where_the_hand_goes(speed):
+    noise, place = LiveNoise(Carriers(), 1), 0.0
+    heard = [octave for octave, step in enumerate(noise.steps_m) if abs(speed) / (32.0 * step) < 4800.0]
+    for sample in range(0, 400 * BLOCK, BLOCK):
+        noise.time.mixed(np.zeros((1, noise.time.bands), np.float32), sample, BLOCK)
+        for octave in heard:
+            chain, step = noise.octaves[octave], noise.steps_m[octave]
+            ends = sorted((place / step, (place + speed * 0.005) / step))
+            chain.mixed(np.zeros((1, chain.bands), np.float32), int(ends[0]) - 1, int(ends[1] - ends[0]) + 4)
+        place += speed * 0.005
+        noise.prepare(sample + BLOCK, place, speed)
+    assert noise.at_once == 0
+
+
+def test_noise_is_made_soon_where_a_hand_jumped():
+    noise = LiveNoise(Carriers(), 1)
+    for _ in range(4 * HASTE_STEPS):
+        noise.prepare(0, 5.0, 0.1)
+    for chain, step in zip(noise.octaves, noise.steps_m, strict=True):
+        chain.mixed(np.zeros((1, chain.bands), np.float32), int(5.0 / step), 4)
+    assert noise.at_once == 0
+
+
+@pytest.mark.parametrize("material", ["oak-wood", "eva-foam", "slate"])
+@pytest.mark.parametrize("probe", sorted(PROBES))
+def test_a_causal_response_answers_as_the_contact_does(material, probe):
+    mechanics = next(each.mechanics for each in LIBRARY if each.name == material)
+    kernel = causal_response(mechanics, PROBES[probe], 1.0)
+    frequency = np.array([5.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 3000.0])
+    found = np.exp(-2j * np.pi * frequency[:, None] * np.arange(TAIL) * 1e-4) @ kernel
+    wanted = force_response(frequency, mechanics, PROBES[probe], 1.0)
+    assert np.abs(20.0 * np.log10(np.abs(found / wanted))).max() < 0.1
+    # What is late is a quarter of a sample.
+    assert np.abs(np.angle(found / wanted) / (2.0 * np.pi * frequency) * 1e4)[1:].max() < 0.5
+    assert abs(kernel.sum()) < 1e-9 * np.abs(kernel).sum()
+
+
+@pytest.mark.parametrize("material", ["oak-wood", "eva-foam"])
+def test_pressing_is_that_of_offline_two_states_later(material):
+    rng = np.random.default_rng(2)
+    swing = np.cumsum(rng.standard_normal(700)) * 0.02
+    stroke = on(hand(0.0, lambda t: 1.5 + np.tanh(swing[: len(t)]), seconds=3.0), material)
+    pressing = LivePressing(stroke.mechanics, "pen")
+    found = np.concatenate([pressing.step(force, 0) for force in stroke.action.force])[2 * BLOCK :]
+    wanted = contact_term(prepare(load_field(), stroke, seed=0), 0, 3 * 10_000)
+    assert error(found[TAIL + 200 :], wanted[TAIL + 200 : len(found)]) < 0.03
+
+
+def test_a_touch_forgets_what_rang_before():
+    pressing, other = (LivePressing((LIBRARY[0].mechanics,), "pen") for _ in range(2))
+    for force in (0.0, 3.0, 1.0, 2.0, 0.0):
+        pressing.step(force, 0)
+    pressing.forget()
+    assert all(np.array_equal(pressing.step(force, 0), other.step(force, 0)) for force in (1.0, 1.5, 1.2))
