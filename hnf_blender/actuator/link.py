@@ -72,7 +72,7 @@ class Link:
         self._folder: Path | None = None
         self._files: list[Path] = []
         self._unanswered: list[tuple[str, Callable[[], None] | None]] = []
-        self._number = self._written = 0
+        self._number = self._live_from = self._written = 0
         self._playing = False
         self._sound: Sound | None = None
         self._where: Where | None = None
@@ -141,6 +141,7 @@ class Link:
     def live_begin(self, target: str, profile: ActuatorProfile, probe: str, material: MaterialFile) -> None:
         """A hand is about to touch. Raises HnfError where no process can be started."""
         self._where, self._probe, self.is_live = where_of(target, profile), probe, True
+        self._live_from = self._number + 1
         try:
             self.live_material(material)
         except BaseException:
@@ -219,9 +220,9 @@ class Link:
 
     @property
     def newest(self) -> Heard | None:
-        """What was told of the newest play, None where nothing was yet."""
-        heard = self.heard
-        return heard if heard is not None and heard.status.play == self._number else None
+        """What was told of the newest play, None where nothing was yet. Under one hand all materials are one play."""
+        heard, first = self.heard, self._live_from if self.is_live else self._number
+        return heard if heard is not None and heard.status.play >= first else None
 
     def _start(self) -> None:
         """Raises DeviceError where no process can be started, FileError where the disk refuses."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import bpy
 import numpy as np
 import pytest
@@ -9,15 +11,20 @@ from builders import add_plane, add_sphere
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mathutils import Euler
+from player_builders import chosen, until
 from touch_scene import PLATE, ridge_plate
 
+from hnf_blender.actuator.facts import phase_of
 from hnf_blender.actuator.hand import Hand, force_at
+from hnf_blender.actuator.link import Link
 from hnf_blender.actuator.live import LiveTouch
+from hnf_blender.actuator.state import VIRTUAL, Phase
 from hnf_blender.bridge.drawn_stroke import cast_on_surface
 from hnf_blender.bridge.own_material import carry
 from hnf_blender.bridge.under_pen import felt_there, meeting
 from hnf_blender.ops.live import likely_material, touch_at
 from hnf_blender.preview.stroke_bake import BAKE_PROPERTY
+from hnf_core.actuators.profile import GENERIC
 from hnf_core.errors import MaterialError, SceneError
 from hnf_core.material.hnf_file import from_library
 from hnf_core.material.library import find, load_library
@@ -216,3 +223,85 @@ def test_before_the_pen_comes_down_the_active_mesh_is_meant() -> None:
     assert likely_material(bpy.context).name == "oak-wood"
     bpy.context.view_layer.objects.active = plane
     assert likely_material(bpy.context).name == "denim"
+
+
+@pytest.fixture
+def link():
+    made = Link()
+    with chosen(VIRTUAL):
+        yield made
+    made.release()
+
+
+def stroke_by_hand(link: Link, touch: LiveTouch, seconds: float, at_m_s: float = 0.1, force_n: float = 1.5):
+    """Back and forth over the plane as a hand would, 125 events a second; what was told meanwhile."""
+    began, told = time.monotonic(), []
+    while (now := time.monotonic() - began) < seconds:
+        x = 0.03 * (2.0 * abs((now * at_m_s / 0.06) % 2.0 - 1.0) - 1.0)
+        touch_at(touch, bpy.context, cast(x, 0.0), force_n, time.perf_counter())
+        link.tick()
+        if link.newest is not None:
+            told.append(link.newest.status)
+        time.sleep(0.008)
+    return told
+
+
+def test_a_hand_is_felt_while_it_moves_and_not_when_it_is_lifted(link) -> None:
+    choose(add_plane(), "denim")
+    denim = from_library(find("denim"))
+    link.live_begin(VIRTUAL, GENERIC, "pen", denim)
+    touch = LiveTouch(link, denim)
+    assert phase_of(link) is Phase.OPENING
+    assert until(link, lambda: link.newest is not None)
+    assert phase_of(link) is Phase.LIVE
+    assert link.newest.status.peak == 0.0  # nothing before the first touch
+    assert max(status.level_m_s2 for status in stroke_by_hand(link, touch, 1.0)) > 0.01
+    touch.lift(time.perf_counter())
+    assert until(link, lambda: link.newest.status.level_m_s2 < 1e-4)
+    assert link.is_live
+    link.live_end()
+    assert until(link, lambda: phase_of(link) is Phase.READY)
+    assert link.problem == ""
+
+
+def test_over_another_material_the_hand_goes_on(link) -> None:
+    left, right = add_plane("Left", 0.03), add_plane("Right", 0.03)
+    left.location.x, right.location.x = -0.015, 0.015
+    choose(left, "oak-wood")
+    choose(right, "denim")
+    bpy.context.view_layer.update()
+    oak = from_library(find("oak-wood"))
+    link.live_begin(VIRTUAL, GENERIC, "finger", oak)
+    touch = LiveTouch(link, oak)
+    assert until(link, lambda: link.newest is not None)
+    pid = link.pid
+    told = stroke_by_hand(link, touch, 1.5)
+    assert max(status.level_m_s2 for status in told) > 0.01
+    assert touch.material in ("oak-wood", "denim")
+    assert len({status.play for status in told}) > 1
+    played = [status.played_s for status in told]
+    assert played == sorted(played)  # one stream throughout
+    assert (link.pid, link.problem, link.is_live) == (pid, "", True)
+    assert phase_of(link) is Phase.LIVE
+
+
+def test_a_sound_takes_the_place_of_a_hand_and_ends_it(link) -> None:
+    from player_builders import tone
+
+    choose(add_plane(), "denim")
+    denim = from_library(find("denim"))
+    link.live_begin(VIRTUAL, GENERIC, "pen", denim)
+    assert until(link, lambda: link.newest is not None)
+    link.play(tone(0.5))
+    assert not link.is_live
+    assert until(link, lambda: phase_of(link) is Phase.PLAYING)
+    link.live_move(time.perf_counter(), (0.0, 0.0), 1.0)  # an event that came late
+    assert until(link, lambda: not link.is_playing)
+    assert link.problem == ""
+
+
+def test_a_probe_that_is_none_ends_the_hand_with_one_sentence(link) -> None:
+    link.live_begin(VIRTUAL, GENERIC, "elbow", from_library(find("denim")))
+    assert until(link, lambda: link.problem)
+    assert "elbow" in link.problem
+    assert not link.is_live
