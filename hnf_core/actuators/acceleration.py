@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from ..errors import UsageError
 from ..export.wav import read_wav
 from .limits import Limits
 from .source import Samples
@@ -41,3 +43,10 @@ def read_acceleration(path: Path, limits: Limits) -> Acceleration:
     full = np.float32(limits.full_scale_m_s2)
     words = f"without a unit: its 1.0 is played as {limits.full_scale_m_s2:g} m/s², full scale"
     return Acceleration(samples * full, signal.sample_rate, words)
+
+
+def factor(gain_db: float) -> float:
+    """Raises UsageError beyond ±120 dB."""
+    if not abs(gain_db) <= 120.0:
+        raise UsageError(f"a gain of {gain_db:g} dB is none.", remedy="Give −120 to 120 dB.")
+    return math.pow(10.0, gain_db / 20.0)

@@ -7,7 +7,6 @@ killed itself, the device's own queue falls silent.
 
 from __future__ import annotations
 
-import math
 import os
 import queue
 import signal
@@ -24,7 +23,7 @@ import numpy as np
 
 from ..errors import HnfError, UsageError
 from ..field.live_material import synthesis_for_material
-from .acceleration import read_acceleration
+from .acceleration import factor, read_acceleration
 from .player_messages import (
     VERSION,
     Began,
@@ -235,13 +234,6 @@ class Teller(threading.Thread):
     def _write(self, report: Report) -> None:
         self._out.write(encode(report).encode() + b"\n")
         self._out.flush()
-
-
-def factor(gain_db: float) -> float:
-    """Raises UsageError beyond ±120 dB."""
-    if not abs(gain_db) <= 120.0:
-        raise UsageError(f"a gain of {gain_db:g} dB is none.", remedy="Give −120 to 120 dB.")
-    return math.pow(10.0, gain_db / 20.0)
 
 
 def profile_in(where: Where) -> ActuatorProfile:

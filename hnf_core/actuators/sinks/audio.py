@@ -167,8 +167,8 @@ class AudioSink:
         raise self._refused(self._problem, "Plug it in, or choose another output; then start again.")
 
     def _refused(self, what: str, remedy: str) -> DeviceError:
-        name = "the default output" if self._device is None else f"'{self._device}'"
-        return DeviceError(f"{what}.", where=f"sound output {name}", remedy=remedy)
+        where = "the default sound output" if self._device is None else f"sound output '{self._device}'"
+        return DeviceError(f"{what}.", where=where, remedy=remedy)
 
 
 class _Word(Enum):
@@ -211,4 +211,6 @@ def look_again(sounddevice: Any) -> None:
 
 def _reason(error: Exception) -> str:
     """A line of a library's, without its own numbers in brackets and without its full stop."""
+    if str(error) == "Error querying device -1":
+        return "this system has no sound output"
     return str(error).split(" [PaErrorCode")[0].splitlines()[0].rstrip(".:")

@@ -35,6 +35,10 @@ class FadingQueue:
         """Nothing sounds and nothing is owed."""
         return not (self._sounding or self._left or self.queued)
 
+    def lacks(self, frames: int) -> bool:
+        """Would advance(frames) be an underrun?"""
+        return self._sounding and not self._finishing and self.queued < frames
+
     def push(self, counts: Counts) -> None:
         """(n, channels)."""
         if len(counts):

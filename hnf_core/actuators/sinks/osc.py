@@ -98,6 +98,7 @@ class OscSink:
         with self._changed:
             self._check()
             self._queue.push(np.array(counts, dtype=np.int16))
+            self._changed.notify_all()
 
     def status(self) -> SinkStatus:
         return SinkStatus(self._queue.played, self._queue.underruns, problem=self._problem)
@@ -133,6 +134,8 @@ class OscSink:
             while True:
                 with self._changed:
                     self._changed.wait_for(lambda: self._dropped or self._closing, max(0.0, due - time.monotonic()))
+                    # Messages need not be as even as samples: who is a little late is waited for.
+                    self._changed.wait_for(lambda: not self._queue.lacks(_SLOT) or self._dropped, RAMP_S)
                     dropped, self._dropped = self._dropped, False
                     closing = self._closing
                     slot = self._queue.advance(_SLOT)

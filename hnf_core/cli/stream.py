@@ -1,0 +1,164 @@
+"""`hnf stream`: play a WAV on an actuator."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+
+from ..actuators.acceleration import Acceleration, factor, read_acceleration
+from ..actuators.profile import GENERIC, ActuatorProfile
+from ..actuators.profile_file import profile_at
+from ..actuators.report import StreamReport
+from ..actuators.sink import SinkFormat
+from ..actuators.source import Samples, Source
+from ..actuators.sources.limited import Limited
+from ..actuators.sources.recorded import Recorded
+from ..actuators.stream import Stream
+from ..actuators.targets import FORMS, FileTarget, Target, parse_target, sink_of
+from ..errors import DeviceError, UsageError
+from .level_meter import LevelMeter
+
+AHEAD_BLOCKS = 3
+LOOK_S = 0.05
+
+
+def add_parser(verbs: Any) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = verbs.add_parser(
+        "stream",
+        help="play a WAV on an actuator",
+        description="Play a WAV on an actuator, within its limits. Ctrl C stops softly.",
+    )
+    parser.add_argument("wav", type=Path, metavar="FILE.wav", help="mono; m/s² where it says so")
+    parser.add_argument("--to", required=True, metavar="TARGET", help=FORMS)
+    parser.add_argument(
+        "--profile", default=GENERIC.name, metavar="NAME|FILE.json",
+        help=f"what the actuator can do, see `hnf actuators` (default {GENERIC.name})",
+    )  # fmt: skip
+    parser.add_argument("--loop", action="store_true", help="over and over, until Ctrl C or --seconds")
+    parser.add_argument("--gain", type=float, default=0.0, metavar="DB", help="louder (+) or softer (−)")
+    parser.add_argument(
+        "--block", type=float, default=5.0, metavar="MS", help="make samples in blocks of it (default 5; 20 if busy)"
+    )
+    parser.add_argument("--seconds", type=float, metavar="S", help="stop after that long")
+    parser.add_argument("--json", action="store_true", help="end with the report as one JSON object")
+    return parser
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Raises HnfError; returns the exit code."""
+    target, gain = parse_target(arguments.to), factor(arguments.gain)
+    _check(arguments, target)
+    profile = profile_at(arguments.profile)
+    limits = profile.limits
+    found = read_acceleration(arguments.wav, limits)
+    samples = found.samples * np.float32(gain)
+    source, whole_s = _source(samples, found.rate_hz, arguments.loop, arguments.seconds)
+    sink = sink_of(target, found.rate_hz, limits)
+    # Nobody touches a recording: the resampler may take its time.
+    stream = Stream(source, sink, limits, block_s=arguments.block / 1e3, ahead_blocks=AHEAD_BLOCKS, prompt=False)
+    with _terminating_as_ctrl_c():
+        try:
+            device = stream.start()
+            if not arguments.json:
+                print(_announcement(arguments, found, profile, device), flush=True)
+            _warn(samples, profile, arguments.gain)
+            _watch(stream, LevelMeter(limits.peak * limits.full_scale_m_s2, whole_s))
+        except KeyboardInterrupt:
+            pass
+        finally:
+            stream.stop()
+    return _told(arguments, profile, stream.report)
+
+
+def _check(arguments: argparse.Namespace, target: Target) -> None:
+    if arguments.seconds is not None and not 0.0 < arguments.seconds < 1e7:
+        raise UsageError(f"--seconds {arguments.seconds:g} is no time to play.", remedy="Give more than 0.")
+    if arguments.loop and arguments.seconds is None and isinstance(target, FileTarget):
+        raise UsageError("--loop into a file never ends.", remedy="Say how long: --seconds 10.")
+
+
+def _source(samples: Samples, rate_hz: float, loop: bool, seconds: float | None) -> tuple[Source, float | None]:
+    """And how long it plays, None = for ever."""
+    recorded, whole_s = Recorded(samples, rate_hz, loop=loop), len(samples) / rate_hz
+    if seconds is None:
+        return recorded, None if loop else whole_s
+    return Limited(recorded, round(seconds * rate_hz)), seconds if loop else min(seconds, whole_s)
+
+
+def _announcement(
+    arguments: argparse.Namespace, found: Acceleration, profile: ActuatorProfile, device: SinkFormat
+) -> str:
+    limits = profile.limits
+    owed_ms = 1e3 * device.queue_frames / device.rate_hz
+    owes = "" if isinstance(parse_target(arguments.to), FileTarget) else f", owes at most {owed_ms:.0f} ms"
+    return (
+        f"{arguments.wav}: {found.duration_s:.2f} s at {found.rate_hz:g} Hz, {found.unit}, "
+        f"largest {found.peak_m_s2:.3g} m/s²\n"
+        f"to {device.device}: {device.rate_hz:g} Hz{owes}; gain {arguments.gain:g} dB; "
+        f"at most {limits.peak * limits.full_scale_m_s2:g} m/s² ({profile.title})"
+    )
+
+
+def _warn(samples: Samples, profile: ActuatorProfile, gain_db: float) -> None:
+    """Beforehand, so that nobody wonders; the limiter counts what it really changed."""
+    most = profile.limits.peak * profile.limits.full_scale_m_s2
+    largest = float(np.abs(samples).max(initial=0.0))
+    if largest > most:
+        share = float(np.count_nonzero(np.abs(samples) > most)) / samples.size
+        fits = math.floor(10.0 * (gain_db - 20.0 * math.log10(largest / most))) / 10.0
+        print(
+            f"hnf: {largest:.3g} m/s² is more than the {most:g} m/s² of '{profile.title}': {share:.2%} of the samples "
+            f"are limited. --gain {fits:.1f} fits.",
+            file=sys.stderr,
+        )
+
+
+def _watch(stream: Stream, meter: LevelMeter) -> None:
+    try:
+        while not stream.wait(LOOK_S):
+            meter.show(stream.report)
+    finally:
+        meter.close()
+
+
+def _told(arguments: argparse.Namespace, profile: ActuatorProfile, report: StreamReport) -> int:
+    if arguments.json:
+        record = {"wav": str(arguments.wav), "target": arguments.to, "profile": profile.name, **report.to_json()}
+        print(json.dumps(record, indent=1))
+    else:
+        print(
+            f"{report.played_s:.2f} s played: {report.blocks} blocks, {report.underruns} underruns, "
+            f"99 % of them computed within {report.compute_p99_ms:.2f} ms; peak {report.peak:.0%} of full scale, "
+            f"{report.limited_samples} samples limited"
+        )
+    if report.problem:
+        raise DeviceError(report.problem)
+    return 0
+
+
+@contextmanager
+def _terminating_as_ctrl_c() -> Iterator[None]:
+    """Meanwhile a polite kill stops as softly as Ctrl C does."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
