@@ -10,14 +10,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..actuators.profile import PROFILES, profile_of
+from ..actuators.profile import PROFILES
+from ..actuators.profile_file import profile_at
 from ..errors import UsageError
 from ..export.convert import export_signal
 from ..export.formats import FORMATS, format_of
 from ..export.haptic import CLIPPED
-from ..export.options import FULL_SCALE_M_S2, RANGE_HZ, ExportOptions, ImportOptions
+from ..export.options import FULL_SCALE_M_S2, RANGE_HZ, ExportOptions
 from ..export.surface import TouchedSurface
-from ..export.wav_copies import read_any_wav
+from ..export.wav_copies import read_own_wav
 
 SceneReader = Callable[[Path, Mapping[str, str], str | None], TouchedSurface]
 
@@ -48,7 +49,7 @@ def add_scale(parser: argparse.ArgumentParser) -> None:
     """The options that say what 1 stands for."""
     scale = parser.add_mutually_exclusive_group()
     scale.add_argument(
-        "--profile", metavar="NAME", help=f"an actuator, for full scale and range: {', '.join(PROFILES)}"
+        "--profile", metavar="NAME", help=f"an actuator, for full scale and range: {', '.join(PROFILES)}, or FILE.json"
     )
     scale.add_argument(
         "--full-scale", type=float, metavar="M_S2", help=f"m/s² that 1.0 stands for (default {FULL_SCALE_M_S2:g})"
@@ -64,7 +65,7 @@ def scale_of(arguments: argparse.Namespace) -> tuple[float | None, tuple[float, 
     """Full scale and range as told, None where they are not. Raises UsageError."""
     full_scale, range_hz = arguments.full_scale, None
     if arguments.profile is not None:
-        profile = profile_of(arguments.profile)
+        profile = profile_at(arguments.profile)
         full_scale, range_hz = profile.limits.full_scale_m_s2, profile.range_hz
     if arguments.range is not None:
         range_hz = (arguments.range[0], arguments.range[1])
@@ -86,7 +87,7 @@ def run(arguments: argparse.Namespace, read_scene: SceneReader = no_scene) -> in
         raise UsageError("--object without --scene.", remedy="Name the baked scene too: --scene BAKED.blend")
     full_scale, range_hz = scale_of(arguments)
     options = ExportOptions(FULL_SCALE_M_S2 if full_scale is None else full_scale, range_hz or RANGE_HZ)
-    signal = read_any_wav(arguments.file, ImportOptions())
+    signal = read_own_wav(arguments.file)
     if arguments.scene is not None:
         surface = read_scene(arguments.scene, signal.provenance, arguments.object)
         options = replace(options, surface=surface)

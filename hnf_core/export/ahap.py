@@ -33,6 +33,7 @@ INTENSITY, SHARPNESS = "HapticIntensityControl", "HapticSharpnessControl"
 LATEST_S = 10_000.0
 """Nobody's pattern is longer; a file that says so is damaged."""
 MOST_EVENTS = 20_000
+MOST_NAMED = 8
 HUGE = 1e30
 EDGE_S = 1e-9
 _DIGITS = 6
@@ -124,7 +125,9 @@ def ahap_envelope(record: dict[str, Any], origin: Origin, path: Path) -> tuple[E
     if len(events) + len(clicks) > MOST_EVENTS:
         raise reading.wrong(f"it holds more than {MOST_EVENTS} events")
     control = {name: _laid_out(found, 1.0 if name == INTENSITY else 0.0) for name, found in curves.items()}
-    return _combined(events, clicks, control, origin), tuple(sorted(ignored))
+    strangers = sorted(ignored)
+    more = (f"and {len(strangers) - MOST_NAMED} more",) if len(strangers) > MOST_NAMED else ()
+    return _combined(events, clicks, control, origin), (*strangers[:MOST_NAMED], *more)
 
 
 def _combined(

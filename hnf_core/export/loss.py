@@ -130,7 +130,7 @@ def _change(decibels: float) -> str:
 
 
 def _db(value: float | None) -> str:
-    return "silent" if value is None else f"{value:.1f} dB"
+    return "silent" if value is None else f"{round(value, 1) + 0.0:.1f} dB"
 
 
 def _ratio(before: float, after: float) -> str:

@@ -23,6 +23,8 @@ from .options import ExportOptions, ImportOptions
 from .wav import UNITS, info_chunk, read_wav, write_wav
 
 COUNTS = 32767
+AS_STORED = "as stored"
+"""What read_wav says of a file without a unit."""
 _STEPS = 32768.0
 """What a 16-bit sample is divided by to lie within −1 … 1."""
 _LARGEST = 2**32 - 2**16
@@ -70,13 +72,25 @@ def write_copy(path: Path, signal: Signal, rate_hz: float, options: ExportOption
     return words + warnings + clipped_words(clipped, options)
 
 
+def read_own_wav(path: Path) -> Signal:
+    """A WAV that states its unit. Raises FileError for one that does not, and for what read_wav refuses."""
+    signal = read_wav(path)
+    if signal.provenance.get("units") == AS_STORED:
+        raise FileError(
+            "states no unit, so that nobody knows how strong it is.",
+            where=str(path),
+            remedy=f"Say it once: hnf import {path.name} --full-scale 30 --out IN_M_S2.wav, and export that.",
+        )
+    return signal
+
+
 def read_any_wav(path: Path, options: ImportOptions) -> Signal:
     """A WAV of this project as it was; any other one times options.full_scale_m_s2.
 
     Raises FileError for a file that states no unit where options give no full scale, and for what read_wav refuses.
     """
     signal = read_wav(path)
-    if signal.provenance.get("units") != "as stored":
+    if signal.provenance.get("units") != AS_STORED:
         return signal
     if options.full_scale_m_s2 is None:
         raise FileError(

@@ -21,7 +21,8 @@ EDGES_HZ = (*(centre / 2.0**0.5 for centre in CENTRES_HZ), CENTRES_HZ[-1] * 2.0*
 
 def band_power(samples: ArrayLike, rate: float, edges_hz: tuple[float, ...] = EDGES_HZ) -> Float:
     """(B,) mean square [(m/s²)²] of samples (n,) in each band, edges_hz[b] to below edges_hz[b + 1], from one transform
-    of them all. By Parseval, bands that leave no frequency out add up to the mean square."""
+    of them all: by Parseval, bands that leave no frequency out add up to the mean square, exactly. A signal that begins
+    or ends with a jump has the jump's energy in every band."""
     x = np.asarray(samples, dtype=np.float64)
     if len(x) == 0:
         return np.zeros(len(edges_hz) - 1)

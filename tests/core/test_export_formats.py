@@ -108,7 +108,7 @@ def android_accepts(record: dict[str, Any], duration_s: float) -> None:
 
 
 @given(samples=SAMPLES, rate=RATES)
-@settings(max_examples=60)
+@settings(max_examples=60, deadline=None)
 def test_files_fit_their_published_rules(
     samples: np.ndarray, rate: float, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
@@ -133,7 +133,7 @@ def test_long_patterns_are_cut_into_events_of_30_s(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("word", EXACT)
 @given(samples=SAMPLES, rate=RATES, seed=st.integers(-(2**63), 2**63))
-@settings(max_examples=40)
+@settings(max_examples=40, deadline=None)
 def test_exact_formats_give_back_every_bit(
     word: str, samples: np.ndarray, rate: float, seed: int, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
@@ -151,7 +151,7 @@ def test_exact_formats_give_back_every_bit(
 
 @pytest.mark.parametrize("word", ["wav8k", "wav48k"])
 @given(samples=SAMPLES, rate=RATES, full_scale=st.floats(1.0, 400.0))
-@settings(max_examples=30)
+@settings(max_examples=30, deadline=None)
 def test_copies_are_reversible_at_their_own_resolution(
     word: str, samples: np.ndarray, rate: float, full_scale: float, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
@@ -240,7 +240,7 @@ def test_silence_stays_silence(tmp_path: Path, word: str) -> None:
 
 @pytest.mark.parametrize("word", WORDS)
 @given(count=st.integers(50, 30_000), rate=RATES)
-@settings(max_examples=15)
+@settings(max_examples=15, deadline=None)
 def test_durations_are_kept(word: str, count: int, rate: float, tmp_path_factory: pytest.TempPathFactory) -> None:
     """To a sample; Android's to a millisecond, its unit."""
     signal, path = signal_of(np.tile([3.0, -2.0], count)[:count], rate), out(tmp_path_factory.getbasetemp(), word)

@@ -284,7 +284,7 @@ def test_every_truncation_is_noticed(tmp_path: Path, word: str) -> None:
 
 @pytest.mark.parametrize("word", WORDS)
 @given(data=st.data())
-@settings(max_examples=60)
+@settings(max_examples=60, deadline=None)
 def test_damage_gives_a_file_error_or_a_finite_signal(
     word: str, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
@@ -310,7 +310,7 @@ JSON = st.recursive(
 
 @pytest.mark.parametrize("word", [*ENVELOPES, "android"])
 @given(data=st.data())
-@settings(max_examples=150)
+@settings(max_examples=150, deadline=None)
 def test_any_value_in_any_place_gives_a_file_error_or_a_finite_signal(
     word: str, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
