@@ -8,6 +8,7 @@ import bpy
 
 from hnf_core.errors import HnfError
 
+from ..props.export_formats import FORMAT_ITEMS
 from ..props.scene import active_stroke, strokes_of
 from ..state.redraw import redraw_tab
 from ..translations import tr
@@ -16,15 +17,18 @@ from .preview import can_be_heard
 UNDOABLE = {"REGISTER", "UNDO"}
 
 
-class HNF_OT_export_wav(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types, Blender's naming
-    bl_idname = "hnf.export_wav"
-    bl_label = "Export WAV"
+class HNF_OT_export(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types, Blender's naming
+    bl_idname = "hnf.export"
+    bl_label = "Export"
     bl_description = (
-        "Write 10 kHz float32 WAVs in m/s², never normalised, into the export folder; stale strokes are refused"
+        "Write into the export folder, in the format chosen, and say what was lost; stale strokes are refused"
     )
 
     all: bpy.props.BoolProperty(
         name="All strokes", description="Every stroke that is not muted, not the active one alone", default=False
+    )
+    format: bpy.props.EnumProperty(
+        name="Format", description="What is written; if not given, what the panel says", items=FORMAT_ITEMS
     )
 
     @classmethod
@@ -35,7 +39,9 @@ class HNF_OT_export_wav(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
         return True
 
     def execute(self, context: Any) -> set[str]:
-        from ..preview.outlet import export_folder, write_wav_of
+        from ..preview.facts import PREVIEW
+        from ..preview.losses import loss_sentence
+        from ..preview.outlet import export_folder, export_of
 
         active = active_stroke(context)
         chosen = [active] if active is not None else []
@@ -44,6 +50,7 @@ class HNF_OT_export_wav(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
         if not chosen:
             self.report({"ERROR"}, tr("No stroke to export: select one, or unmute one"))
             return {"CANCELLED"}
+        word = self.format if self.properties.is_property_set("format") else context.scene.hnf.export_format
         written, refused = [], []
         try:
             export_folder(context.scene)
@@ -52,18 +59,44 @@ class HNF_OT_export_wav(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
             return {"CANCELLED"}
         for obj in chosen:
             try:
-                written.append(write_wav_of(obj, context))
+                written.append(export_of(obj, context, word))
             except HnfError as error:
                 refused.append(str(error))
         redraw_tab()
         if not written:
             self.report({"ERROR"}, "\n".join(refused))
             return {"CANCELLED"}
+        PREVIEW.exported = tuple(loss_sentence(each) for each in written)
+        PREVIEW.losses = "\n\n".join(each.report() for each in written) + "\n"
         for text in refused:
             self.report({"WARNING"}, text)
+        for each in written:
+            self.report({"INFO"}, each.report())
         said = tr("{count} written to {folder}: {names}")
-        names = ", ".join(path.name for path in written)
-        self.report({"INFO"}, said.format(count=len(written), folder=written[0].parent, names=names))
+        names = ", ".join(each.path.name for each in written)
+        self.report({"INFO"}, said.format(count=len(written), folder=written[0].path.parent, names=names))
+        return {"FINISHED"}
+
+
+class HNF_OT_export_copy(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.export_copy"
+    bl_label = "Copy Losses"
+    bl_description = "Copy what the last export cost to the clipboard: level, octave by octave, and what is left out"
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        from ..preview.facts import PREVIEW
+
+        if not PREVIEW.losses:
+            cls.poll_message_set("Nothing was exported yet")
+            return False
+        return True
+
+    def execute(self, context: Any) -> set[str]:
+        from ..preview.facts import PREVIEW
+
+        context.window_manager.clipboard = PREVIEW.losses
+        self.report({"INFO"}, tr("Copied"))
         return {"FINISHED"}
 
 
@@ -120,4 +153,4 @@ class HNF_OT_add_speaker(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
         return {"FINISHED"}
 
 
-CLASSES = (HNF_OT_export_wav, HNF_OT_add_to_sequencer, HNF_OT_add_speaker)
+CLASSES = (HNF_OT_export, HNF_OT_export_copy, HNF_OT_add_to_sequencer, HNF_OT_add_speaker)

@@ -34,7 +34,7 @@ class PreviewState:
     """All by stroke name. heard: the newest signal. kept: A of the comparison. on_kept: strokes of which A is heard.
     asked: stamp of the newest request. problems: why there is no true signal. facts, icons: what panels show.
     play_when_ready: stroke to be played when its signal is there. sounding: stroke that plays, "" = none or the
-    timeline."""
+    timeline. exported: a sentence for each file of the last export, what it cost; losses: the whole report."""
 
     heard: dict[str, Heard] = field(default_factory=dict)
     kept: dict[str, Heard] = field(default_factory=dict)
@@ -45,6 +45,8 @@ class PreviewState:
     icons: dict[str, int] = field(default_factory=dict)
     play_when_ready: str = ""
     sounding: str = ""
+    exported: tuple[str, ...] = ()
+    losses: str = ""
     listener: Listener | None = None
 
     def shown(self, name: str) -> Heard | None:
@@ -62,7 +64,8 @@ class PreviewState:
         """Another file is open."""
         for each in (self.heard, self.kept, self.on_kept, self.asked, self.problems, self.facts, self.icons):
             each.clear()
-        self.play_when_ready = self.sounding = ""
+        self.play_when_ready = self.sounding = self.losses = ""
+        self.exported = ()
 
 
 PREVIEW = PreviewState()

@@ -1,20 +1,27 @@
-"""A stroke's signal on its way out: to a file, to the sequencer, to a speaker. Only what is true leaves."""
+"""A stroke's signal on its way out: to files, to the sequencer, to a speaker. Only what is true leaves."""
 
 from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hnf_core.errors import FileError, SceneError
 from hnf_core.export.wav import wav_bytes
 from hnf_core.files import write_bytes
 from hnf_core.signal import Signal
 
+from ..props.export_formats import CHOICE_OF
+from ..props.scene import actuator_of
 from ..state.session import STATE, Freshness
 from .facts import PREVIEW
 from .monitor import monitor_factor
 
+if TYPE_CHECKING:
+    from hnf_core.export.convert import Exported
+    from hnf_core.export.options import ExportOptions
+
+ON_SURFACES = ("hjif", "glb")
 STROKE_PROPERTY = "hnf_stroke_name"
 """On strips and speakers: the stroke they sound like, so that adding again replaces."""
 
@@ -62,14 +69,34 @@ def export_folder(scene: Any) -> Path:
     return Path(bpy.path.abspath(text))
 
 
-def write_wav_of(obj: Any, context: Any) -> Path:
-    """Write a stroke's WAV: 10 kHz, float32, m/s², with the metadata of `hnf touch`; returns its path."""
+def export_of(obj: Any, context: Any, word: str) -> Exported:
+    """Write a stroke into the export folder in the format called word, and say what that cost.
+
+    1 stands for the largest acceleration of the scene's actuator. hjif and glb get the surface with what is baked on
+    it. Raises SceneError and StrokeError as true_signal does, FileError where the format cannot hold the signal.
+    """
+    from hnf_core.export.convert import export_signal
+    from hnf_core.export.formats import format_of
+
     from ..touch.deliver import file_stem
 
-    signal = true_signal(obj, context)
-    path = export_folder(context.scene) / f"{file_stem(obj.name)}.wav"
-    write_bytes(path, wav_bytes(signal, where=f"stroke '{obj.name}'"))
-    return path
+    signal, form = true_signal(obj, context), format_of(word)
+    stem = file_stem(obj.name) + CHOICE_OF[word].stem
+    path = export_folder(context.scene) / f"{stem}{form.suffix}"
+    return export_signal(signal, form, path, _options(obj, context, word))
+
+
+def _options(obj: Any, context: Any, word: str) -> ExportOptions:
+    from hnf_core.export.options import RANGE_HZ, ExportOptions
+
+    from ..bridge.importers import metres_per_unit
+    from ..bridge.touched_surface import touched_surface
+
+    profile, surface = actuator_of(context.scene), None
+    if word in ON_SURFACES:
+        depsgraph = context.evaluated_depsgraph_get()
+        surface = touched_surface(context.scene, depsgraph, metres_per_unit(context.scene), stroke=obj)
+    return ExportOptions(profile.limits.full_scale_m_s2, profile.range_hz or RANGE_HZ, surface=surface)
 
 
 def add_strip(obj: Any, context: Any) -> Any:
@@ -79,7 +106,7 @@ def add_strip(obj: Any, context: Any) -> Any:
 
     from ..compat import sequencer_strips, show_in_sequencer
 
-    path, scene = write_wav_of(obj, context), context.scene
+    path, scene = export_of(obj, context, "wav").path, context.scene
     editor = scene.sequence_editor or scene.sequence_editor_create()
     strips = sequencer_strips(editor)
     earlier = [strip for strip in strips if strip.get(STROKE_PROPERTY) == obj.name]

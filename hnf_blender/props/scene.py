@@ -9,6 +9,7 @@ import bpy
 from hnf_core.actuators.profile import GENERIC, OWN, PROFILES, ActuatorProfile, own_profile
 
 from ..compat import beside_the_file
+from .export_formats import FORMAT_ITEMS
 from .overriding import OVERRIDABLE
 from .stroke import FORCE_MAX_N
 
@@ -100,6 +101,9 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
         soft_max=5.0,
         precision=2,
         override=OVERRIDABLE,
+    )
+    export_format: bpy.props.EnumProperty(
+        name="Format", description="What exported strokes are written as", items=FORMAT_ITEMS, override=OVERRIDABLE
     )
     export_folder: bpy.props.StringProperty(
         name="Folder",

@@ -6,9 +6,14 @@ from typing import Any
 
 import bpy
 
-from ..props.scene import active_stroke, strokes_of
+from ..preview.facts import PREVIEW
+from ..props.export_formats import CHOICE_OF
+from ..props.scene import active_stroke, actuator_of, strokes_of
 from ..translations import tr
 from .layout import TouchPanel, hint, paragraph, side_by_side
+
+MOST_LINES = 4
+"""Sentences shown of a large export; all of them are copied."""
 
 
 class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801  # bpy has no types
@@ -19,15 +24,30 @@ class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa:
     def draw(self, context: Any) -> None:
         layout, scene = self.layout, context.scene
         if not strokes_of(scene):
-            hint(layout, context, tr("Draw and bake a stroke first; then it can be written as a WAV file in m/s²"))
+            hint(layout, context, tr("Draw and bake a stroke first; then it can be written as a file"))
+        layout.prop(scene.hnf, "export_format", text="")
+        choice = CHOICE_OF.get(scene.hnf.export_format)
+        if choice is not None and choice.scaled:
+            said = tr("1 is {peak:g} m/s²: {actuator}, as chosen under Actuator")
+            profile = actuator_of(scene)
+            text = said.format(peak=profile.limits.full_scale_m_s2, actuator=tr(profile.title))
+            paragraph(layout, context, text, icon="BLANK1")
         layout.prop(scene.hnf, "export_folder", text="")
         if not bpy.data.filepath and scene.hnf.export_folder.startswith("//"):
             hint(layout, context, tr("Save the .blend first, or choose a folder: // means the folder of the .blend"))
         else:  # Blender paints a folder red that is not there yet
             paragraph(layout, context, tr("Made at the first export if it is not there"), icon="BLANK1")
         row = side_by_side(layout, context)
-        row.operator("hnf.export_wav", text="This Stroke", icon="FILE_SOUND").all = False
-        row.operator("hnf.export_wav", text="All", icon="EXPORT").all = True
+        row.operator("hnf.export", text="This Stroke", icon="FILE_SOUND").all = False
+        row.operator("hnf.export", text="All", icon="EXPORT").all = True
+        if PREVIEW.exported:
+            box = layout.box()
+            for sentence in PREVIEW.exported[:MOST_LINES]:
+                paragraph(box, context, sentence)
+            if len(PREVIEW.exported) > MOST_LINES:
+                more = tr("and {count} more").format(count=len(PREVIEW.exported) - MOST_LINES)
+                box.label(text=more, translate=False)
+            box.operator("hnf.export_copy", icon="COPYDOWN")
         column = layout.column(align=True)
         column.operator("hnf.add_to_sequencer", text="Add to Sequencer", icon="SEQUENCE")
         column.operator("hnf.add_speaker", text="Add Speaker at the Stroke", icon="OUTLINER_OB_SPEAKER")

@@ -92,7 +92,7 @@ FORMATS: dict[str, Format] = {
             "glb", ".glb", "glTF: the mesh of --scene, what is baked on it as MPEG_haptic_material, and the signal",
             "Khronos's glTF validator (no error, no warning) and Blender's importer; the extension against its public "
             "schemas, which do not say how pixels count",
-            write_glb, read_glb,
+            write_glb, read_glb, scaled=False,
         ),
         Format("csv", ".csv", "a table time_s,acceleration_m_s2", "read again by numpy", write_csv, read_csv, False),
         Format("npz", ".npz", "numpy arrays, without pickle", "read again by numpy.load", write_npz, read_npz, False),

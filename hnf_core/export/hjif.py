@@ -11,8 +11,8 @@ origin stand as JSON in the three descriptions (255 bytes each at most).
 
 * A stroke alone: perception_modality Vibrotactile, ticks of time at the signal's own rate.
 * With the surface it was drawn on: VibrotactileTexture, ticks of way (10^unit_exponent m), a channel whose `vertices`
-  are those under the stroke, in the mesh that the avatar names: a .glb written beside the file. timescale is the mean
-  speed in ticks a second, so that a player that knows time alone plays it at that speed.
+  are those under the stroke, in the mesh that the avatar names: the stroke's .glb, written beside. timescale is the
+  mean speed in ticks a second, so that a player that knows time alone plays it at that speed.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def write_hjif(path: Path, signal: Signal, options: ExportOptions) -> tuple[str,
         table = vertex_table(surface)
         vertices = vertices_under(surface, table)
         texture = texture_of(signal, surface.path, vertices[:MOST_VERTICES], mesh.name, str(path))
-        write_bytes(mesh, surface_bytes(surface, table, where=str(mesh)))
+        write_bytes(mesh, surface_bytes(surface, table, signal, where=str(mesh)))
         left_out.append(
             f"Time and force: a texture lies along the stroke's way of {m_to_mm(surface.path.length_m):.3g} mm, as it "
             f"was pressed; read back, it is played at its mean speed, "

@@ -61,8 +61,8 @@ def export(tmp_path, **words) -> dict[str, bytes]:
     folder = tmp_path / "exported"
     shutil.rmtree(folder, ignore_errors=True)
     bpy.context.scene.hnf.export_folder = str(folder)
-    assert bpy.ops.hnf.export_wav(**words) == {"FINISHED"}
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert bpy.ops.hnf.export(**words) == {"FINISHED"}
+    return {path.name: path.read_bytes() for path in folder.glob("*.wav")}
 
 
 def test_another_file_takes_nothing_that_was_still_being_heard(stroke) -> None:
@@ -118,7 +118,7 @@ def test_a_stale_stroke_is_refused_by_name(stroke, tmp_path, all_of_them) -> Non
     bpy.context.view_layer.update()
     bpy.context.scene.hnf.export_folder = str(tmp_path / "exported")
     with pytest.raises(RuntimeError, match=r"'Along'.*bake"):
-        bpy.ops.hnf.export_wav(all=all_of_them)
+        bpy.ops.hnf.export(all=all_of_them)
     assert not (tmp_path / "exported").exists()
     with pytest.raises(RuntimeError, match=r"[Bb]ake"):
         bpy.ops.hnf.preview_play()
@@ -136,7 +136,7 @@ def test_one_stale_stroke_does_not_keep_the_others(stroke, tmp_path) -> None:
 def test_a_folder_beside_an_unsaved_file_is_refused_with_a_remedy(stroke) -> None:
     bpy.context.scene.hnf.export_folder = "//touch"
     with pytest.raises(RuntimeError, match=r"not saved yet.*Save the file"):
-        bpy.ops.hnf.export_wav()
+        bpy.ops.hnf.export()
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -346,7 +346,7 @@ def test_a_stroke_that_is_not_baked_says_so(operators, tmp_path) -> None:
         with pytest.raises(RuntimeError, match="Not baked yet"):
             button()
     with pytest.raises(RuntimeError, match=r"'Along'.*[Bb]ake"):
-        bpy.ops.hnf.export_wav()
+        bpy.ops.hnf.export()
 
 
 def test_store_bake_is_what_load_bake_reads(whole) -> None:

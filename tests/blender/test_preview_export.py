@@ -17,8 +17,8 @@ def exported(tmp_path) -> dict[str, bytes]:
     folder = tmp_path / "exported"
     shutil.rmtree(folder, ignore_errors=True)
     bpy.context.scene.hnf.export_folder = str(folder)
-    assert bpy.ops.hnf.export_wav() == {"FINISHED"}
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert bpy.ops.hnf.export() == {"FINISHED"}
+    return {path.name: path.read_bytes() for path in folder.glob("*.wav")}
 
 
 def touched(tmp_path, warm_bake, name: str) -> dict[str, bytes]:

@@ -119,7 +119,7 @@ def test_with_its_surface_a_texture_names_the_vertices_under_the_stroke(tmp_path
     assert tree["avatars"] == [{"id": 1, "lod": 0, "type": "Custom", "mesh": "x.glb"}]
     assert perception["avatar_id"] == 1
     table = vertex_table(surface)
-    assert (tmp_path / "x.glb").read_bytes() == surface_bytes(surface, table)
+    assert (tmp_path / "x.glb").read_bytes() == surface_bytes(surface, table, signal)
     parts, block = glb_parts((tmp_path / "x.glb").read_bytes(), path)
     accessor = parts["accessors"][parts["meshes"][0]["primitives"][0]["attributes"]["POSITION"]]
     view = parts["bufferViews"][accessor["bufferView"]]

@@ -155,7 +155,7 @@ def check_the_force_is_keyed_at_the_playhead(stage):
 def check_the_wav_is_exported(stage):
     bpy.context.scene.hnf.export_folder = str(EXPORTED)
     with stage.over():
-        stage.expect("exported", bpy.ops.hnf.export_wav(all=True) == {"FINISHED"})
+        stage.expect("exported", bpy.ops.hnf.export(all=True) == {"FINISHED"})
     yield 0.2
     wavs = sorted(EXPORTED.glob("*.wav"))
     stage.require("one WAV", len(wavs) == 1, wavs)
@@ -179,7 +179,7 @@ def check_saved_and_opened_again_it_is_equal(stage):
     for wav in EXPORTED.glob("*.wav"):
         wav.unlink()
     with stage.over():
-        bpy.ops.hnf.export_wav(all=True)
+        bpy.ops.hnf.export(all=True)
     yield 0.2
     wavs = sorted(EXPORTED.glob("*.wav"))
     stage.expect("the WAV is equal, byte for byte", [wav.read_bytes() for wav in wavs] == [stage.memory["wav"]])

@@ -149,9 +149,10 @@ def check_it_is_exported(stage):
     FOLDER.mkdir()
     with stage.over():
         bpy.ops.wm.save_as_mainfile(filepath=str(FOLDER / "corduroy.blend"))
-        stage.expect("written", bpy.ops.hnf.export_wav() == {"FINISHED"})
+        stage.expect("written", bpy.ops.hnf.export() == {"FINISHED"})
         stage.expect("a strip", bpy.ops.hnf.add_to_sequencer("INVOKE_DEFAULT", True) == {"FINISHED"})
-    stage.expect("one WAV", [path.name for path in FOLDER.glob("touch/*")] == ["stroke-on-cube.wav"])
+    files = sorted(path.name for path in FOLDER.glob("touch/*"))
+    stage.expect("one WAV, and what it stands for", files == ["stroke-on-cube.wav", "stroke-on-cube.wav.json"], files)
     yield 0.3
     area = stage.area("GRAPH_EDITOR")
     area.type = "SEQUENCE_EDITOR"

@@ -1,0 +1,50 @@
+"""What an export cost, in a sentence of the artist's language."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from ..translations import tr
+
+if TYPE_CHECKING:
+    from hnf_core.export.convert import Exported
+    from hnf_core.metrics.band_energy import Band
+
+UNHEARD_DB = 0.05
+"""Changes below it are told as none, in these very figures."""
+QUIET_DB = 40.0
+"""Bands this far below the loudest are nothing to tell of."""
+
+
+def loss_sentence(exported: Exported) -> str:
+    """Of one file: how its level, its most changed octave and its duration differ from the stroke's."""
+    name, loss = exported.path.name, exported.loss
+    if loss is None:
+        return tr("{file}: cannot be read back here, so its loss is not measured").format(file=name)
+    level = _decibels(loss.before.rms, loss.after.rms)
+    worst = _most_changed(loss.bands)
+    longer = 1000.0 * (loss.after.duration_s - loss.before.duration_s)
+    band_db = 0.0 if worst is None or worst.change_db is None else worst.change_db
+    if max(abs(level), abs(band_db)) < UNHEARD_DB and abs(longer) < 0.05:
+        said = tr("{file}: no octave changed by 0.05 dB") if exported.form.scaled else tr("{file}: nothing is lost")
+        return said.format(file=name)
+    if worst is None:
+        return tr("{file}: nothing of it is left").format(file=name)
+    said = tr(
+        "{file}: level {level:+.1f} dB, most changed {low:.0f}–{high:.0f} Hz {band:+.1f} dB, duration {ms:+.1f} ms"
+    )
+    high = min(worst.high_hz, loss.before.sample_rate_hz / 2.0)
+    return said.format(file=name, level=level + 0.0, low=worst.low_hz, high=high, band=band_db, ms=longer + 0.0)
+
+
+def _most_changed(bands: tuple[Band, ...]) -> Band | None:
+    loudest = max((max(band.before, band.after) for band in bands), default=0.0)
+    heard = [
+        band for band in bands if band.before > loudest * 10.0 ** (-QUIET_DB / 10.0) and band.change_db is not None
+    ]
+    return max(heard, key=lambda band: abs(band.change_db or 0.0), default=None)
+
+
+def _decibels(before: float, after: float) -> float:
+    return 20.0 * math.log10(after / before) if before > 0.0 and after > 0.0 else 0.0

@@ -1,0 +1,138 @@
+"""The Export panel's buttons: every format of the table leaves a baked stroke, and what it cost is told."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import bpy
+import pytest
+from job_scene import small_scene
+
+from hnf_blender.preview.facts import PREVIEW
+from hnf_blender.preview.losses import loss_sentence
+from hnf_blender.preview.outlet import ON_SURFACES, export_of, true_signal
+from hnf_blender.props.export_formats import FORMAT_CHOICES
+from hnf_core.export.convert import import_signal
+from hnf_core.export.formats import FORMATS
+from hnf_core.export.hjif_read import read_hjif
+from hnf_core.export.options import ImportOptions
+
+WORDS = [choice.word for choice in FORMAT_CHOICES]
+
+
+@pytest.fixture(scope="module")
+def baked_file(operators, rendered_plate, tmp_path_factory):
+    """The small scene with its bake in it, saved; an export folder beside."""
+    from hnf_blender.jobs import running
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    folder = tmp_path_factory.mktemp("scene")
+    shutil.copytree(rendered_plate, folder / "cache")
+    small_scene()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(running, "cache_folder", lambda: folder / "cache")
+        assert bpy.ops.hnf.bake() == {"FINISHED"}
+    path = folder / "scene.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    return path
+
+
+@pytest.fixture
+def folder(baked_file, tmp_path):
+    PREVIEW.clear()
+    bpy.ops.wm.open_mainfile(filepath=str(baked_file))
+    bpy.context.scene.hnf.export_folder = str(tmp_path / "out")
+    yield tmp_path / "out"
+    PREVIEW.clear()
+
+
+def stroke():
+    return bpy.data.objects["Along"]
+
+
+def test_the_choices_are_those_of_the_table() -> None:
+    assert set(WORDS) == set(FORMATS)
+    assert [FORMATS[choice.word].scaled for choice in FORMAT_CHOICES] == [choice.scaled for choice in FORMAT_CHOICES]
+    files = [choice.stem + FORMATS[choice.word].suffix for choice in FORMAT_CHOICES]
+    assert len(set(files)) == len(files)  # no format overwrites another's file
+
+
+@pytest.mark.parametrize("word", WORDS)
+def test_each_format_leaves_and_says_what_it_cost(word: str, folder) -> None:
+    bpy.context.scene.hnf.export_format = word
+    assert bpy.ops.hnf.export() == {"FINISHED"}
+    choice = next(each for each in FORMAT_CHOICES if each.word == word)
+    name = f"along{choice.stem}{FORMATS[word].suffix}"
+    beside = {"along.glb"} if word == "hjif" else set()
+    assert {path.name for path in folder.iterdir()} == {name, f"{name}.json"} | beside
+    (sentence,) = PREVIEW.exported
+    assert sentence.startswith(f"{name}: ")
+    lossless = word in ("wav", "glb", "csv", "npz")
+    assert ("nothing is lost" in sentence) == lossless
+    assert ("no octave changed" in sentence) == (word in ("wav8k", "wav48k"))
+    assert str(folder / name) in PREVIEW.losses
+    if FORMATS[word].scaled:
+        assert "1 = 30 m/s²" in PREVIEW.losses
+    back = import_signal(folder / name, ImportOptions(), FORMATS[word])
+    if lossless:
+        assert back.samples.tobytes() == true_signal(stroke(), bpy.context).samples.tobytes()
+
+
+def test_the_format_given_counts_more_than_the_panel_s(folder) -> None:
+    bpy.context.scene.hnf.export_format = "csv"
+    assert bpy.ops.hnf.export(format="wav") == {"FINISHED"}
+    assert {path.name for path in folder.iterdir()} == {"along.wav", "along.wav.json"}
+
+
+def test_full_scale_is_the_largest_acceleration_of_the_actuator(folder) -> None:
+    settings = bpy.context.scene.hnf
+    settings.actuator, settings.own_peak_m_s2, settings.own_highest_hz = "own", 12.5, 400.0
+    exported = export_of(stroke(), bpy.context, "haptic")
+    assert exported.options.full_scale_m_s2 == 12.5
+    assert exported.options.range_hz == (20.0, 400.0)
+    record = json.loads((folder / "along.haptic.json").read_text(encoding="utf-8"))
+    assert record["full_scale"] == 12.5
+
+
+def test_formats_on_surfaces_lie_on_the_plate(folder) -> None:
+    assert ON_SURFACES == ("hjif", "glb")
+    surface = export_of(stroke(), bpy.context, "glb").options.surface
+    assert surface is not None
+    assert surface.name == "Plate"
+    assert surface.palette is not None
+    assert surface.path is not None
+    assert surface.path.length_m == pytest.approx(0.026, abs=1e-3)
+    export_of(stroke(), bpy.context, "hjif")
+    tree = json.loads((folder / "along.hjif").read_text(encoding="utf-8"))
+    assert tree["perceptions"][0]["channels"][0]["vertices"]
+    assert read_hjif(folder / "along.hjif", ImportOptions()).provenance["stroke"] == "Along"
+
+
+def test_all_leaves_out_the_muted_and_refuses_the_stale(folder) -> None:
+    for name in ("Muted", "Stale"):
+        other = stroke().copy()
+        other.name = name
+        bpy.context.scene.collection.objects.link(other)
+    bpy.data.objects["Muted"].hnf_stroke.mute = True
+    bpy.data.objects["Stale"].location.y += 0.01
+    bpy.context.view_layer.update()
+    assert bpy.ops.hnf.export(all=True, format="npz") == {"FINISHED"}
+    assert {path.name for path in folder.iterdir()} == {"along.npz", "along.npz.json"}
+    assert len(PREVIEW.exported) == 1
+
+
+def test_nothing_is_told_of_another_file(folder) -> None:
+    assert not bpy.ops.hnf.export_copy.poll()
+    bpy.ops.hnf.export(format="haptic")
+    assert bpy.ops.hnf.export_copy.poll()
+    PREVIEW.clear()
+    assert (PREVIEW.exported, PREVIEW.losses) == ((), "")
+    assert not bpy.ops.hnf.export_copy.poll()
+
+
+def test_the_sentence_names_what_changed_most(folder) -> None:
+    sentence = loss_sentence(export_of(stroke(), bpy.context, "haptic"))
+    assert "level" in sentence
+    assert " Hz " in sentence
+    assert "dB" in sentence
