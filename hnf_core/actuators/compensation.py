@@ -16,8 +16,8 @@ class Compensation:
     """y = taps * x, block by block, without a delay of its own. taps: (T,). See Stage."""
 
     def __init__(self, taps: ArrayLike, channels: int) -> None:
-        self._backwards = np.asarray(taps, dtype=np.float64)[::-1].copy()
-        self._past: Float = np.zeros((len(self._backwards) - 1, channels))
+        self._taps = np.array(taps, dtype=np.float64)
+        self._past: Float = np.zeros((len(self._taps) - 1, channels))
 
     def process(self, block: Samples) -> Samples:
         """(n, channels) → (n, channels)."""
@@ -25,8 +25,10 @@ class Compensation:
         if len(block) == 0:
             return block
         self._past = whole[len(block) :]
-        windows = np.lib.stride_tricks.sliding_window_view(whole, len(self._backwards), axis=0)
-        return np.asarray(windows @ self._backwards, dtype=np.float32)
+        out = np.empty(block.shape, dtype=np.float32)
+        for channel in range(block.shape[1]):
+            out[:, channel] = np.convolve(whole[:, channel], self._taps, "valid")
+        return out
 
 
 def compensation_of(profile: ActuatorProfile, rate_hz: float, channels: int) -> Compensation | None:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 from .. import __version__
 from ..errors import HnfError, UsageError
-from . import bench, export, import_file, materials, synth, touch, train
+from . import actuators, bench, export, import_file, materials, stream, synth, touch, train
 from . import eval as evaluate
 
 Runner = Callable[[argparse.Namespace], int]
@@ -33,6 +33,8 @@ def build_parser(
     materials.add_parser(verbs).set_defaults(run=materials.run)
     export.add_parser(verbs).set_defaults(run=run_export)
     import_file.add_parser(verbs).set_defaults(run=import_file.run)
+    actuators.add_parser(verbs)
+    stream.add_parser(verbs).set_defaults(run=stream.run)
     bench.add_parser(verbs).set_defaults(run=run_bench)
     return parser
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ...metrics.band_energy import Band, band_power
@@ -15,7 +17,15 @@ from ..sources.recorded import Recorded
 from .bands import PER_OCTAVE, third_octaves
 
 
-def felt(signal: Signal, profile: ActuatorProfile, *, compensate: bool) -> Signal:
+@dataclass(frozen=True)
+class Felt:
+    """signal: what a skin gets. limited_samples: changed by the device's limits on the way."""
+
+    signal: Signal
+    limited_samples: int
+
+
+def felt(signal: Signal, profile: ActuatorProfile, *, compensate: bool) -> Felt:
     """Acceleration that profile's actuator would give: through compensation (if any), limiter and its response.
 
     Its phase is left out, which a skin does not hear; without a known response it is what leaves the limiter.
@@ -31,21 +41,21 @@ def felt(signal: Signal, profile: ActuatorProfile, *, compensate: bool) -> Signa
         frequency = np.fft.rfftfreq(size, 1.0 / signal.sample_rate)
         gain = 10.0 ** (profile.response.gain_db_at(frequency) / 20.0)
         got = np.fft.irfft(np.fft.rfft(got, size) * gain, size)[: len(got)]
-    return Signal(got.astype(np.float32), signal.sample_rate, signal.seed, signal.provenance)
+    out = Signal(got.astype(np.float32), signal.sample_rate, signal.seed, signal.provenance)
+    return Felt(out, chain.limiter.limited)
 
 
-def felt_bands(signal: Signal, profile: ActuatorProfile, *, compensate: bool) -> tuple[Band, ...]:
-    """Per third of an octave within the actuator's range (20 Hz to 1 kHz where it is not known): asked and got."""
+def felt_bands(asked: Signal, got: Signal, profile: ActuatorProfile) -> tuple[Band, ...]:
+    """Power per third of an octave within the actuator's range (20 Hz to 1 kHz where it is not known): before, what was
+    asked for, and after, what was got."""
     low, high = profile.range_hz or (20.0, 1000.0)
-    centres = third_octaves(low, min(high, 0.5 * signal.sample_rate))
+    centres = third_octaves(low, min(high, 0.5 * asked.sample_rate))
     half = 2.0 ** (0.5 / PER_OCTAVE)
     edges = (*(float(centre / half) for centre in centres), float(centres[-1] * half)) if len(centres) else ()
     if len(edges) < 2:
         return ()
-    got = felt(signal, profile, compensate=compensate)
-    asked = band_power(signal.samples, signal.sample_rate, edges)
-    gave = band_power(got.samples, got.sample_rate, edges)
+    powers = (band_power(each.samples, each.sample_rate, edges) for each in (asked, got))
     return tuple(
         Band(low, high, float(before), float(after))
-        for low, high, before, after in zip(edges[:-1], edges[1:], asked, gave, strict=True)
+        for low, high, before, after in zip(edges[:-1], edges[1:], *powers, strict=True)
     )

@@ -13,7 +13,7 @@ Float = NDArray[np.float64]
 LARGEST_DB = 20.0
 REGULARISATION = 0.5 * 10.0 ** (-LARGEST_DB / 20.0)
 """β of h / (h² + β²), whose largest value is 1 / 2β: what an actuator hardly does is not asked of it a thousandfold."""
-LONGEST_S = 0.1
+LONGEST_S = 0.2
 GRID = 4
 """The filter is designed on this many times more frequencies than it has taps, so that nothing wraps around."""
 
@@ -36,7 +36,7 @@ def inverse_taps(response: Response, range_hz: tuple[float, float], rate_hz: flo
     """(taps,) a causal filter at rate_hz with the magnitude of inverse_gain() and the least delay it can have.
 
     Minimum phase by folding the cepstrum (A. V. Oppenheim and R. W. Schafer, Discrete-Time Signal Processing, ch. 13),
-    as long as needed for its tail to hold 1e-5 of its energy, and at most LONGEST_S. A skin hears no phase, but it
+    as long as needed for its tail to hold 1e-8 of its energy, and at most LONGEST_S. A skin hears no phase, but it
     feels a delay. Raises UsageError where the range leaves half the rate or is none.
     """
     if not 0.0 < range_hz[0] < range_hz[1] <= 0.5 * rate_hz:
@@ -52,7 +52,7 @@ def inverse_taps(response: Response, range_hz: tuple[float, float], rate_hz: flo
     cepstrum[size // 2 + 1 :] = 0.0
     taps = np.fft.irfft(np.exp(np.fft.rfft(cepstrum)), size)
     energy = np.cumsum(np.square(taps[::-1]))[::-1]
-    needed = int(np.count_nonzero(energy > 1e-5 * energy[0]))
+    needed = int(np.count_nonzero(energy > 1e-8 * energy[0]))
     count = min(max(needed, 8), longest)
     fade = max(count // 8, 1)
     shape = np.ones(count)

@@ -1,0 +1,292 @@
+"""`hnf actuators`: what is plugged in, what is known of it, and how one is measured."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from ..actuators.measure.bands import BandError, band_errors, largest_db, rms_db
+from ..actuators.measure.estimate import estimate
+from ..actuators.measure.excitation import noise, sweep
+from ..actuators.measure.felt import felt, felt_bands
+from ..actuators.measure.profiled import Measured, profiled
+from ..actuators.profile import GENERIC, PROFILES, ActuatorProfile
+from ..actuators.profile_file import profile_at, write_profile
+from ..actuators.targets import AudioTarget, Devices, VirtualTarget, devices, parse_target, sink_of
+from ..errors import UsageError
+from ..export.wav import read_wav, write_wav
+from ..field.carriers import MODEL_RATE_HZ
+from ..signal import Signal
+
+LOW_HZ, HIGH_HZ, SECONDS = 10.0, 1000.0, 8.0
+LEVEL = 0.2
+"""Of an excitation, as a share of full scale: no limit is met, and the coil stays cool."""
+RATE_HZ = MODEL_RATE_HZ
+
+
+def add_parser(verbs: Any) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = verbs.add_parser(
+        "actuators",
+        help="list devices and profiles; measure an actuator",
+        description="Without an action: list what is plugged in and the profiles there are.",
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.set_defaults(run=run_list)
+    actions = parser.add_subparsers(dest="action", metavar="ACTION")
+    _add_sweep(actions)
+    _add_measure(actions)
+    _add_report(actions)
+    return parser
+
+
+def _add_sweep(actions: Any) -> None:
+    parser = actions.add_parser(
+        "sweep",
+        help="write a sweep or noise to be played elsewhere",
+        description="Write an exponential sine sweep, or noise, as a WAV in m/s². Play it on the actuator, record the "
+        "accelerometer, and give both files to: hnf actuators measure --played … --response …",
+    )
+    _excitation_options(parser)
+    parser.add_argument("--out", type=Path, required=True, metavar="F.wav", help="file to write")
+    parser.set_defaults(run=run_sweep)
+
+
+def _add_measure(actions: Any) -> None:
+    parser = actions.add_parser(
+        "measure",
+        help="measure an actuator's response and write its profile",
+        description="Play an excitation, record an accelerometer on the actuator (or take the two as files), and write "
+        "a profile: limits, response, and with it the inverse filter (at most +20 dB) that hnf stream then applies. "
+        "Prints the error per third of an octave without and with it.",
+    )
+    parser.add_argument("--to", metavar="TARGET", help="device to play on, as hnf stream takes it; or virtual")
+    parser.add_argument("--input", metavar="audio[:DEVICE]", help="sound input that the accelerometer is on")
+    parser.add_argument("--played", type=Path, metavar="F.wav", help="what was played, instead of --to")
+    parser.add_argument("--response", type=Path, metavar="F.wav", help="what was recorded, instead of --input")
+    parser.add_argument(
+        "--sensitivity", type=float, metavar="M_S2",
+        help="m/s² at full scale of the recording; without it the response is known, the level is not",
+    )  # fmt: skip
+    parser.add_argument(
+        "--profile", default=GENERIC.name, metavar="NAME", help=f"what is known of it so far (default {GENERIC.name})"
+    )
+    parser.add_argument("--title", default="Measured actuator", help="its name for people")
+    parser.add_argument("--range", type=float, nargs=2, metavar=("LOW", "HIGH"), help="its range in Hz, if you know it")
+    _excitation_options(parser)
+    parser.add_argument("--out", type=Path, required=True, metavar="PROFILE.json", help="file to write")
+    parser.set_defaults(run=run_measure)
+
+
+def _add_report(actions: Any) -> None:
+    parser = actions.add_parser(
+        "report",
+        help="what a signal is after an actuator, per band",
+        description="Print how far the vibration that a skin gets is from the one asked for, per third of an octave, "
+        "without and with compensation, limits included.",
+    )
+    parser.add_argument("file", type=Path, metavar="FILE.wav", help="a signal in m/s²")
+    parser.add_argument("--profile", required=True, metavar="NAME|FILE.json", help="a profile; measured ones say more")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.set_defaults(run=run_report)
+
+
+def _excitation_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--noise", action="store_true", help="pink noise instead of a sweep")
+    parser.add_argument("--seconds", type=float, default=SECONDS, metavar="S", help=f"how long (default {SECONDS:g})")
+    parser.add_argument("--low", type=float, default=LOW_HZ, metavar="HZ", help=f"from (default {LOW_HZ:g})")
+    parser.add_argument("--high", type=float, default=HIGH_HZ, metavar="HZ", help=f"to (default {HIGH_HZ:g})")
+    parser.add_argument("--level", type=float, default=LEVEL, metavar="SHARE", help=f"of full scale (default {LEVEL})")
+    parser.add_argument("--rate", type=float, default=RATE_HZ, metavar="HZ", help=f"sample rate (default {RATE_HZ:g})")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the noise")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run_list(arguments: argparse.Namespace) -> int:
+    """Print what is there. Returns the exit code."""
+    found = devices()
+    if arguments.json:
+        print(json.dumps(_listed(found), indent=1, ensure_ascii=False))
+        return 0
+    for each in found.all:
+        print(f"{each.target:<32}  {each.title}" + (f" ({each.facts})" if each.facts else ""))
+    print(f"{'virtual':<32}  a simulated voice coil, reached as a serial device is")
+    for line in found.missing:
+        print(f"not listed: {line}")
+    print("\nprofiles:")
+    for profile in PROFILES.values():
+        print(f"{profile.name:<32}  {profile.title}: {_limits_in_words(profile)}")
+    return 0
+
+
+def _listed(found: Devices) -> dict[str, Any]:
+    profiles = [
+        {
+            "name": profile.name, "title": profile.title, "source": profile.source, "range_hz": profile.range_hz,
+            "peak_m_s2": profile.peak_m_s2, "limits": asdict(profile.limits),
+        }
+        for profile in PROFILES.values()
+    ]  # fmt: skip
+    listed = [asdict(each) for each in found.all]
+    return {"devices": listed, "missing": list(found.missing), "profiles": profiles}
+
+
+def _limits_in_words(profile: ActuatorProfile) -> str:
+    low, high = profile.range_hz or (None, None)
+    band = f"{low:g} to {high:g} Hz" if low is not None else "range not known"
+    peak = f"{profile.peak_m_s2:g} m/s²" if profile.peak_m_s2 is not None else "largest acceleration not stated"
+    return f"{band}, {peak}"
+
+
+def excitation_of(arguments: argparse.Namespace, full_scale_m_s2: float) -> Signal:
+    """Raises UsageError."""
+    if not 0.0 < arguments.level <= 1.0:
+        raise UsageError(
+            f"--level {arguments.level:g} is no share of full scale.", remedy="Give more than 0, at most 1."
+        )
+    peak = arguments.level * full_scale_m_s2
+    shape = (arguments.rate, arguments.seconds, arguments.low, arguments.high, peak)
+    return noise(*shape, seed=arguments.seed) if arguments.noise else sweep(*shape)
+
+
+def run_sweep(arguments: argparse.Namespace) -> int:
+    """Raises HnfError; returns the exit code."""
+    signal = excitation_of(arguments, GENERIC.limits.full_scale_m_s2)
+    write_wav(arguments.out, signal)
+    record = {"wav": str(arguments.out), "duration_s": signal.duration_s, "rms_m_s2": signal.rms, **signal.provenance}
+    print(
+        json.dumps(record) if arguments.json else f"{arguments.out}: {signal.duration_s:g} s, {signal.rms:.3g} m/s² RMS"
+    )
+    return 0
+
+
+def run_measure(arguments: argparse.Namespace) -> int:
+    """Raises HnfError; returns the exit code."""
+    base = profile_at(arguments.profile)
+    asked, got, calibrated = _asked_and_got(arguments, base)
+    response = estimate(asked.samples, got.samples, asked.sample_rate, arguments.low, arguments.high)
+    range_hz = None if arguments.range is None else (arguments.range[0], arguments.range[1])
+    found = profiled(base, response, title=arguments.title, calibrated=calibrated, range_hz=range_hz)
+    errors = band_errors(response_of(found), range_of(found), asked.sample_rate)
+    write_profile(arguments.out, found.profile)
+    if arguments.json:
+        print(json.dumps(_measured_record(arguments.out, found, errors, calibrated), indent=1, ensure_ascii=False))
+        return 0
+    if not calibrated:
+        print("hnf: without --sensitivity the level is not known; full scale stays as it was.", file=sys.stderr)
+    print(_measured_in_words(arguments.out, found, errors))
+    return 0
+
+
+def response_of(found: Measured) -> Any:
+    """Of a measured profile, which has one."""
+    assert found.profile.response is not None
+    return found.profile.response
+
+
+def range_of(found: Measured) -> tuple[float, float]:
+    """Of a measured profile, which has one."""
+    assert found.profile.range_hz is not None
+    return found.profile.range_hz
+
+
+def _asked_and_got(arguments: argparse.Namespace, base: ActuatorProfile) -> tuple[Signal, Signal, bool]:
+    """At one rate; whether the second's m/s² are true."""
+    from ..actuators.measure.run import Accelerometer, Sensor, VirtualSkin, at_rate, measure
+
+    if (arguments.played is None) != (arguments.response is None) or (arguments.to is None) == (
+        arguments.played is None
+    ):
+        raise UsageError(
+            "it takes either a device or two files.",
+            remedy="Give --to TARGET with --input audio, --to virtual alone, or --played F.wav with --response F.wav.",
+        )
+    sensitivity = 1.0 if arguments.sensitivity is None else arguments.sensitivity
+    if not 0.0 < sensitivity < 1e9:
+        raise UsageError(f"--sensitivity {sensitivity:g} is no acceleration.", remedy="Give m/s² at full scale.")
+    if arguments.played is not None:
+        asked, came = read_wav(arguments.played), read_wav(arguments.response)
+        true = arguments.sensitivity is not None or came.provenance.get("units") is None
+        got = at_rate(came, asked.sample_rate)
+        return asked, Signal(got.samples * sensitivity, got.sample_rate, 0), true
+    target, limits = parse_target(arguments.to), base.limits
+    sink = sink_of(target, arguments.rate, limits)
+    sensor: Sensor
+    if isinstance(target, VirtualTarget):
+        sensor = VirtualSkin(sink)  # type: ignore[arg-type]  # what sink_of() gives for it
+    else:
+        sensor = Accelerometer(_input_of(arguments.input), sensitivity)
+    asked, got = measure(sink, sensor, excitation_of(arguments, limits.full_scale_m_s2), limits)
+    return asked, got, isinstance(target, VirtualTarget) or arguments.sensitivity is not None
+
+
+def _input_of(words: str | None) -> str | int | None:
+    target = None if words is None else parse_target(words)
+    if not isinstance(target, AudioTarget):
+        raise UsageError("the accelerometer has no input.", remedy="Name its sound input: --input audio[:DEVICE].")
+    return target.device
+
+
+def _measured_record(path: Path, found: Measured, errors: tuple[BandError, ...], calibrated: bool) -> dict[str, Any]:
+    before, after = largest_db(errors)
+    return {
+        "profile": str(path),
+        "calibrated": calibrated,
+        "gain_db": found.gain_db,
+        "full_scale_m_s2": found.profile.limits.full_scale_m_s2,
+        "range_hz": range_of(found),
+        "delay_ms": 1e3 * response_of(found).delay_s,
+        "resonator": asdict(found.resonator),
+        "bands": [asdict(each) for each in errors],
+        "largest_error_before_db": before,
+        "largest_error_after_db": after,
+    }
+
+
+def _measured_in_words(path: Path, found: Measured, errors: tuple[BandError, ...]) -> str:
+    resonator, (low, high) = found.resonator, range_of(found)
+    lines = [
+        f"{path}: {low:.0f} to {high:.0f} Hz, resonance {resonator.resonance_hz:.1f} Hz, damping "
+        f"{resonator.damping:.2f} (that model is off by {resonator.error_db:.2f} dB RMS)",
+        f"{'band':>9}  {'without':>9}  {'with compensation':>18}",
+    ]
+    lines += [f"{each.centre_hz:>6.0f} Hz  {each.before_db:>+6.1f} dB  {each.after_db:>+15.2f} dB" for each in errors]
+    rms = rms_db([each.before_db for each in errors]), rms_db([each.after_db for each in errors])
+    return "\n".join([*lines, f"{'RMS':>9}  {rms[0]:>6.1f} dB  {rms[1]:>15.2f} dB"])
+
+
+def run_report(arguments: argparse.Namespace) -> int:
+    """Raises HnfError; returns the exit code."""
+    profile, signal = profile_at(arguments.profile), read_wav(arguments.file)
+    plain, made_up = (felt(signal, profile, compensate=compensate) for compensate in (False, True))
+    without, compensated = (felt_bands(signal, each.signal, profile) for each in (plain, made_up))
+    rows = [
+        {"low_hz": one.low_hz, "high_hz": one.high_hz, "before_db": one.change_db, "after_db": other.change_db}
+        for one, other in zip(without, compensated, strict=True)
+    ]
+    if arguments.json:
+        record = {
+            "profile": profile.name,
+            "measured": profile.response is not None,
+            "limited_samples_before": plain.limited_samples,
+            "limited_samples_after": made_up.limited_samples,
+            "bands": rows,
+        }
+        print(json.dumps(record, indent=1))
+        return 0
+    if profile.response is None:
+        print("hnf: this profile has no measured response: only its limits count here.", file=sys.stderr)
+    for what, each in (("", plain), (" with compensation", made_up)):
+        if each.limited_samples:
+            print(
+                f"hnf: its limits change {each.limited_samples} samples{what}; a softer signal keeps its shape.",
+                file=sys.stderr,
+            )
+    print(f"{'band':>17}  {'without':>9}  {'with compensation':>18}")
+    for row in rows:
+        texts = ["–" if row[key] is None else f"{row[key]:+.2f} dB" for key in ("before_db", "after_db")]
+        print(f"{row['low_hz']:>6.0f} – {row['high_hz']:>4.0f} Hz  {texts[0]:>9}  {texts[1]:>18}")
+    return 0

@@ -1,0 +1,143 @@
+"""`hnf actuators`, and profiles as files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hnf_core.actuators.measure.resonator import Resonator
+from hnf_core.actuators.profile import GENERIC, ActuatorProfile
+from hnf_core.actuators.profile_file import profile_at, read_profile, write_profile
+from hnf_core.actuators.response import of_gains
+from hnf_core.cli.main import main
+from hnf_core.errors import FileError, UsageError
+from hnf_core.export.wav import read_wav, write_wav
+from hnf_core.signal import Signal
+
+
+def no_blender(_arguments: object) -> int:
+    raise AssertionError("no scene here")
+
+
+def hnf(*words: object) -> int:
+    return main([str(word) for word in words], no_blender)
+
+
+def measured_profile() -> ActuatorProfile:
+    frequency = np.geomspace(20.0, 900.0, 50)
+    response = of_gains(frequency, Resonator(80.0, 0.3, 1.0).at(frequency))
+    return ActuatorProfile("mine", "Mine – é", "a test", (25.0, 800.0), 12.5, 0.3, 7.0, response)
+
+
+def test_the_list_names_profiles_and_the_virtual_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert hnf("actuators") == 0
+    text = capsys.readouterr().out
+    assert "virtual" in text
+    assert GENERIC.name in text
+    assert hnf("actuators", "--json") == 0
+    record = json.loads(capsys.readouterr().out)
+    assert {"devices", "missing", "profiles"} == set(record)
+    assert record["profiles"][0]["limits"]["full_scale_m_s2"] == 30.0
+
+
+def test_the_virtual_actuator_is_measured_and_made_up_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "p.json"
+    assert hnf("actuators", "measure", "--to", "virtual", "--seconds", 3, "--out", out, "--json") == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["resonator"]["resonance_hz"] == pytest.approx(59.55, rel=0.05)
+    assert record["largest_error_before_db"] > 9.0
+    assert record["largest_error_after_db"] < 1.0
+    assert read_profile(out).limits.full_scale_m_s2 == pytest.approx(record["full_scale_m_s2"])
+
+
+def test_two_files_do_instead_of_a_device(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    played, recorded, out = tmp_path / "s.wav", tmp_path / "r.wav", tmp_path / "p.json"
+    assert hnf("actuators", "sweep", "--out", played, "--seconds", 3) == 0
+    signal = read_wav(played)
+    size = 2 * len(signal.samples)
+    gain = Resonator(120.0, 0.2, 0.5).at(np.fft.rfftfreq(size, 1.0 / signal.sample_rate))
+    got = np.fft.irfft(np.fft.rfft(signal.samples, size) * gain, size)[: len(signal.samples)]
+    write_wav(recorded, Signal(got.astype(np.float32), signal.sample_rate, 0))
+    capsys.readouterr()
+    assert hnf("actuators", "measure", "--played", played, "--response", recorded, "--out", out, "--json") == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["resonator"]["resonance_hz"] == pytest.approx(120.0, rel=0.01)
+    assert record["largest_error_after_db"] < 1.0
+    softly = tmp_path / "soft.wav"
+    write_wav(softly, Signal(np.asarray(signal.samples * 0.05, dtype=np.float32), signal.sample_rate, 0))
+    assert hnf("actuators", "report", softly, "--profile", out, "--json") == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["limited_samples_after"] == 0
+    bands = report["bands"]
+    assert max(abs(band["after_db"]) for band in bands) < 1.0 < max(abs(band["before_db"]) for band in bands)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        (),
+        ("--to", "virtual", "--played", "x.wav"),
+        ("--played", "x.wav"),
+        ("--to", "serial:/dev/null"),
+        ("--to", "virtual", "--level", "7"),
+        ("--to", "virtual", "--sensitivity", "-1"),
+    ],
+)
+def test_words_that_do_not_fit_together_are_refused(words: tuple[str, ...], tmp_path: Path) -> None:
+    out = tmp_path / "p.json"
+    assert hnf("actuators", "measure", *words, "--out", out) == 2
+    assert not out.exists()
+
+
+def test_a_profile_comes_back_as_it_was(tmp_path: Path) -> None:
+    path, profile = tmp_path / "p.json", measured_profile()
+    write_profile(path, profile)
+    found = profile_at(str(path))
+    assert (found.name, found.title, found.source, found.range_hz) == ("mine", "Mine – é", "a test", (25.0, 800.0))
+    assert (found.peak_m_s2, found.sustained, found.thermal_s) == (12.5, 0.3, 7.0)
+    assert found.response is not None
+    assert profile.response is not None
+    for name in ("frequency_hz", "gain_db", "phase_rad", "coherence"):
+        np.testing.assert_allclose(getattr(found.response, name), getattr(profile.response, name), atol=1e-5)
+    again = tmp_path / "q.json"
+    write_profile(again, found)
+    assert again.read_bytes() == path.read_bytes()
+
+
+def spoilt(**changes: object) -> str:
+    record = {"schema": 1, "name": "x", "title": "x", "source": "x", "range_hz": [20, 500], "peak_m_s2": 3}
+    return json.dumps(record | changes)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "[]", "{}", "nonsense", "[" * 100_000, spoilt(schema=2), spoilt(name=3), spoilt(peak_m_s2="3"),
+        spoilt(peak_m_s2=-3), spoilt(peak_m_s2=True), spoilt(range_hz=[500, 20]), spoilt(range_hz=[1, 2, 3]),
+        spoilt(surprise=1), spoilt(response={}), spoilt(sustained=float("nan")),
+        spoilt(response={"frequency_hz": [1], "gain_db": [1], "phase_rad": [1], "coherence": [1], "delay_s": 0}),
+        spoilt(response={"frequency_hz": "12", "gain_db": [1], "phase_rad": [1], "coherence": [1], "delay_s": 0}),
+    ],
+)  # fmt: skip
+def test_what_is_no_profile_is_refused_by_name(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "p.json"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(FileError, match=r"p\.json"):
+        read_profile(path)
+
+
+def test_a_missing_or_binary_or_huge_profile_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "p.json"
+    with pytest.raises(FileError):
+        profile_at(str(path))
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(FileError):
+        read_profile(path)
+    path.write_bytes(b" " * 5_000_000)
+    with pytest.raises(FileError, match="MB"):
+        read_profile(path)
+    with pytest.raises(UsageError, match=GENERIC.name):
+        profile_at("nobody")
