@@ -52,7 +52,7 @@ def law_of(limits: Limits, rate_hz: float) -> Law:
     warming = max(limits.thermal_s * rate_hz, 0.01)
     weight = -math.expm1(-1.0 / warming)
     bound = (min(limits.sustained, 2.0) * COUNTS) ** 2
-    grid = int(min(max(min(warming / 64.0, _UPDATE_S * rate_hz), 1.0), 4096.0))
+    grid = int(min(max(min(warming / 16.0, _UPDATE_S * rate_hz), 1.0), 4096.0))
     ramp_frames = int(min(max(math.ceil(limits.ramp_s * rate_hz), 1), 10.0 * rate_hz + 1.0))
     return Law(
         full_scale_m_s2=limits.full_scale_m_s2,
