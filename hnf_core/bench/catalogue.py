@@ -23,8 +23,15 @@ def _faults(options: Options) -> list[Row]:
     return rows(options)
 
 
+def _live(options: Options) -> list[Row]:
+    from .live import rows
+
+    return rows(options)
+
+
 BENCHES = (
     Bench("preview", "a changed force key → new samples, from what is there and all anew", _preview),
     Bench("stream", "a stream for 10 minutes on a virtual device, busy or with 16 channels: underruns, bytes", _stream),
+    Bench("live", "a hand felt live: what 5 ms of it cost, and how long it takes from the pen to the wire", _live),
     Bench("faults", "whatever goes wrong with a device on a serial port, until it is silent, 100 times each", _faults),
 )

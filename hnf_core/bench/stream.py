@@ -85,19 +85,19 @@ def rows(options: Options, seconds: float | None = None) -> list[Row]:
 def _on_serial(case: Case, seconds: float) -> Row:
     with tempfile.TemporaryDirectory(prefix="hnf-bench-") as folder, _core_busy(case.busy):
         record = Path(folder) / "played.npy"
-        with _device(record) as device:
+        with device(record) as actuator:
             try:
-                sink = SerialSink(device.port, BAUDRATE, case.rate_hz, case.channels)
+                sink = SerialSink(actuator.port, BAUDRATE, case.rate_hz, case.channels)
                 stream = Stream(_source(case.rate_hz, case.channels, seconds), sink, LIMITS, block_s=case.block_s)
                 with stream:
                     form = stream.start()
                     stream.wait(seconds + _MARGIN_S)
             except DeviceError as error:
                 return Row(NAME, case.method, note=str(error))
-            device.end()
+            actuator.end()
         expected = _sounding(counts_of(_source(case.rate_hz, case.channels, seconds), form, LIMITS))
         wrong = _differing(expected, np.load(record))
-    return _row(case.method, stream, wrong, f", the device's clock slipped by {device.slipped} frames")
+    return _row(case.method, stream, wrong, f", the device's clock slipped by {actuator.slipped} frames")
 
 
 def _on_audio(seconds: float) -> Row:
@@ -179,7 +179,8 @@ class _Device:
 
 
 @contextmanager
-def _device(record: Path) -> Iterator[_Device]:
+def device(record: Path) -> Iterator[_Device]:
+    """A virtual device in a program of its own; record: where it writes down what it played, see stream_device."""
     words = [sys.executable, "-m", f"{__package__}.stream_device", str(BAUDRATE), str(record)]
     root = Path(__file__).resolve().parents[2]
     process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=root)
