@@ -44,12 +44,14 @@ def counters(check: Check) -> list[int]:
     return [int(number) for number in check("n").split()]
 
 
+@settings(deadline=None)
 @given(data=st.binary(max_size=300))
 @example(data=b"123456789")
 def test_checksums_agree(check: Check, data: bytes) -> None:
     assert int.from_bytes(check("c", 0, data), "little") == crc16_reference(data)
 
 
+@settings(deadline=None)
 @given(messages=st.lists(HOST_MESSAGES, max_size=8), piece=st.integers(1, 200), first=U8)
 @example(messages=[Samples(1, 2**32 - 1, bytes(2042)), Ping(1)], piece=1, first=0)
 def test_what_python_sends_c_understands(check: Check, messages: list[Message], piece: int, first: int) -> None:
@@ -59,6 +61,7 @@ def test_what_python_sends_c_understands(check: Check, messages: list[Message], 
     assert counters(check) == [0, 0, 0]
 
 
+@settings(deadline=None)
 @given(message=DEVICE_MESSAGES, sequence=U8)
 def test_what_c_sends_python_understands(check: Check, message: Message, sequence: int) -> None:
     if "\0" in str(astuple(message)[-1]):  # the end of a text in C
@@ -68,6 +71,7 @@ def test_what_c_sends_python_understands(check: Check, message: Message, sequenc
     assert Decoder(FROM_DEVICE).feed(frame) == [message]
 
 
+@settings(deadline=None)
 @given(text=st.text("aäの𝄞", min_size=20, max_size=80))
 def test_texts_that_are_too_long_are_cut_between_characters(check: Check, text: str) -> None:
     (error,) = Decoder(FROM_DEVICE).feed(check("e", 0, f"error 3 {text}".encode()))
@@ -76,7 +80,7 @@ def test_texts_that_are_too_long_are_cut_between_characters(check: Check, text: 
     assert said == text or 117 <= len(said.encode()) <= 120
 
 
-@settings(max_examples=200)
+@settings(max_examples=200, deadline=None)
 @given(
     chunks=st.lists(st.one_of(GARBAGE, HOST_MESSAGES.map(lambda each: encode(each, 3))), max_size=12),
     flips=st.lists(st.integers(0, 10**6), max_size=6),

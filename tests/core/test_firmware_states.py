@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from firmware_host import QUEUE, RAMP, RATE, Check, Device, build, credits_of, errors_of
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.actuators.protocol.messages import (
@@ -49,6 +49,7 @@ def test_hello_is_answered_by_what_it_can_do(check: Check) -> None:
     assert device.status().state == State.READY
 
 
+@settings(deadline=None)
 @given(lowest=st.integers(0, 255), highest=st.integers(0, 255))
 def test_a_version_in_common_is_needed(check: Check, lowest: int, highest: int) -> None:
     device = Device(check)
@@ -72,6 +73,7 @@ def test_start_gives_the_first_credit(check: Check) -> None:
     assert credit.state == State.WAITING
 
 
+@settings(deadline=None)
 @given(rate=st.integers(1000, 48000), asked=st.integers(0, 65535), channels=st.integers(1, 16))
 def test_the_queue_is_15_ms_at_most(check: Check, rate: int, asked: int, channels: int) -> None:
     device = Device(check, channels=channels)

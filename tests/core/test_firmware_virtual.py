@@ -75,7 +75,7 @@ def said(messages: list[Message], kinds: tuple[type, ...]) -> list[object]:
     return [essence(message) for message in messages if isinstance(message, kinds)]
 
 
-@settings(max_examples=150)
+@settings(max_examples=150, deadline=None)
 @given(st.lists(STEPS, max_size=30))
 def test_both_play_the_same_and_answer_the_same(check: Check, steps: list[Message | int | tuple[int, ...]]) -> None:
     ours, theirs, decoder = Device(check, channels=16), VirtualDevice(), Decoder(FROM_DEVICE)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hnf_core.actuators.protocol.crc import crc16, crc16_reference
@@ -72,6 +72,7 @@ def pieces(data: bytes, cuts: list[int]) -> list[bytes]:
     return [data[begin:end] for begin, end in pairwise(ends)]
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=300))
 @example(b"123456789")
 def test_the_fast_checksum_is_the_plain_one(data: bytes) -> None:
@@ -83,6 +84,7 @@ def test_the_checksum_has_the_check_value_of_the_catalogue() -> None:
 
 
 @pytest.mark.parametrize("side", SIDES, ids=["host", "device"])
+@settings(deadline=None)
 @given(data=st.data(), cuts=st.lists(st.integers(0, 10_000), max_size=8), first=U8)
 def test_messages_arrive_whatever_the_pieces(side: Any, data: st.DataObject, cuts: list[int], first: int) -> None:
     kinds, strategy = side
@@ -94,6 +96,7 @@ def test_messages_arrive_whatever_the_pieces(side: Any, data: st.DataObject, cut
 
 
 @pytest.mark.parametrize("side", SIDES, ids=["host", "device"])
+@settings(deadline=None)
 @given(data=st.data(), noise=GARBAGE)
 def test_what_follows_garbage_arrives(side: Any, data: st.DataObject, noise: bytes) -> None:
     """At the latest when the line has been idle, whatever the garbage claimed to be."""
@@ -107,6 +110,7 @@ def test_what_follows_garbage_arrives(side: Any, data: st.DataObject, noise: byt
     assert decoder.feed(encode(message, 6)) == [message]
 
 
+@settings(deadline=None)
 @given(messages=st.lists(HOST_MESSAGES, min_size=1, max_size=5), flips=st.lists(st.integers(0, 10**6), max_size=3))
 def test_flipped_bits_cost_what_they_hit(messages: list[Message], flips: list[int]) -> None:
     frames = [bytearray(encode(message, i)) for i, message in enumerate(messages)]
@@ -125,6 +129,7 @@ def test_flipped_bits_cost_what_they_hit(messages: list[Message], flips: list[in
 
 
 @pytest.mark.parametrize("kinds", [FROM_HOST, FROM_DEVICE], ids=["host", "device"])
+@settings(deadline=None)
 @given(chunks=st.lists(GARBAGE, max_size=20))
 def test_nothing_raises_and_little_is_held(kinds: Any, chunks: list[bytes]) -> None:
     decoder = Decoder(kinds)
@@ -158,18 +163,29 @@ def test_a_good_checksum_around_nonsense_is_malformed() -> None:
     assert decoder.malformed == 1
 
 
+@settings(deadline=None)
+@given(st.integers(0, 255))
+def test_a_stop_is_never_misunderstood_as_going_on(how: int) -> None:
+    frame = bytearray(encode(Stop(), 0))
+    frame[6] = how
+    frame[7:] = crc16(bytes(frame[2:7])).to_bytes(2, "little")
+    assert Decoder(FROM_HOST).feed(bytes(frame)) == [Stop(how == 1)]
+
+
 def test_the_other_side_alone_is_heard() -> None:
     decoder = Decoder(FROM_DEVICE)
     assert decoder.feed(encode(Ping(1), 0)) == []
     assert decoder.skipped == len(encode(Ping(1), 0))
 
 
+@settings(deadline=None)
 @given(st.lists(HOST_MESSAGES, max_size=300))
 def test_an_encoder_counts(messages: list[Message]) -> None:
     encoder = Encoder()
     assert [encoder.encode(message) for message in messages] == [encode(m, i) for i, m in enumerate(messages)]
 
 
+@settings(deadline=None)
 @given(st.integers(1, 16), st.integers(0, 2**32 - 1), st.data())
 def test_samples_carry_counts(channels: int, position: int, data: st.DataObject) -> None:
     count = data.draw(st.integers(0, 20))
@@ -196,6 +212,7 @@ def test_what_does_not_fit_is_refused(message: Message) -> None:
         encode(message, 0)
 
 
+@settings(deadline=None)
 @given(played=U32, queue=st.integers(1, 720), outstanding=st.integers(0, 720))
 def test_room_is_what_is_not_outstanding(played: int, queue: int, outstanding: int) -> None:
     credit = Credit(1, played, queue, 0, State.PLAYING)

@@ -332,10 +332,7 @@ static void handle(void *context, uint8_t type, const uint8_t *payload, uint16_t
         else say_error(device, HNF_E_MALFORMED, "Half a sample.");
         return;
     case HNF_STOP:
-        if (!hnf_get_stop(&got.drain, payload, length)) {
-            say_error(device, HNF_E_MALFORMED, "Stop how? Now, then.");
-            got.drain = 0;
-        }
+        if (!hnf_get_stop(&got.drain, payload, length)) return;
         if (device->mode == HNF_PLAYING) stop(device, got.drain ? DRAIN : DROP, HNF_READY);
         else if (device->mode == HNF_READY) say_credit(device);
         return;

@@ -74,8 +74,8 @@ int hnf_get_samples(hnf_samples *to, const uint8_t *payload, uint16_t length)
 
 int hnf_get_stop(uint8_t *drain, const uint8_t *payload, uint16_t length)
 {
-    if (length != 1 || payload[0] > 1) return 0;
-    *drain = payload[0];
+    if (length != 1) return 0;
+    *drain = payload[0] == 1; /* what says neither is taken for now */
     return 1;
 }
 
