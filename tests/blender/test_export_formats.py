@@ -9,16 +9,21 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from builders import add_mesh
 from job_scene import small_scene
 from touch_scene import PLATE, save_scene, touch
 
-from hnf_blender.bridge.storage import read_tokens
+from hnf_blender.bridge.storage import FaceTokens, read_tokens, write_tokens
+from hnf_blender.bridge.touched_surface import touched_surface
 from hnf_blender.cli import main
 from hnf_core.export.glb import read_glb
 from hnf_core.export.gltf_file import glb_parts
 from hnf_core.export.hjif_read import read_hjif
 from hnf_core.export.options import ImportOptions
 from hnf_core.export.wav import read_wav
+from hnf_core.material.mechanics import Mechanics
+from hnf_core.material.palette import Palette
+from hnf_core.material.token import TOKEN_DIM
 
 
 @pytest.fixture(scope="module")
@@ -165,3 +170,25 @@ def test_what_is_missing_is_asked_for(words, said, baked, tmp_path, capsys) -> N
     assert main(["export", str(wav), "--out", str(tmp_path / "x.glb"), *words]) == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / "x.glb").exists()
+
+
+def test_faces_that_modifiers_make_keep_the_material_of_their_own() -> None:
+    """Two squares side by side, each made sixteen: what is left of the middle is the left one's."""
+    corners = [(x, y, 0.0) for y in (0.0, 0.1) for x in (-0.1, 0.0, 0.1)]
+    obj = add_mesh("Pair", corners, [(0, 1, 4, 3), (1, 2, 5, 4)])
+    tokens = np.zeros((2, TOKEN_DIM), np.float32)
+    tokens[1] = 0.5
+    palette = Palette(tokens, (Mechanics(friction=0.2), Mechanics(friction=0.4)), ("denim", "steel"))
+    each = np.array([0.25, 0.75], np.float32)
+    write_tokens(obj.data, FaceTokens(palette, np.array([1, 0], np.int32), each * 1e-5, each, "made by hand"))
+    finer = obj.modifiers.new("finer", "SUBSURF")
+    finer.subdivision_type, finer.levels = "SIMPLE", 2
+    obj.scale.x = -1.0
+    bpy.context.view_layer.update()
+    surface = touched_surface(bpy.context.scene, bpy.context.evaluated_depsgraph_get(), 1.0, obj=obj)
+    assert len(surface.mesh.triangles) == 2 * 2 * 16
+    assert surface.path is None
+    left_in_blender = surface.mesh.corner_positions().mean(axis=1)[:, 0] > 0.0  # it is mirrored
+    np.testing.assert_array_equal(surface.token, np.where(left_in_blender, 1, 0))
+    np.testing.assert_array_equal(surface.confidence, np.where(left_in_blender, np.float32(0.25), np.float32(0.75)))
+    assert surface.palette == palette

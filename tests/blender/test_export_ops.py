@@ -8,6 +8,7 @@ import shutil
 import bpy
 import pytest
 from job_scene import small_scene
+from panel_recorder import drawn
 
 from hnf_blender.preview.facts import PREVIEW
 from hnf_blender.preview.losses import loss_sentence
@@ -136,3 +137,23 @@ def test_the_sentence_names_what_changed_most(folder) -> None:
     assert "level" in sentence
     assert " Hz " in sentence
     assert "dB" in sentence
+
+
+def test_the_panel_says_full_scale_and_what_was_lost(folder) -> None:
+    from hnf_blender.ui.export_panel import HNF_PT_export
+
+    settings = bpy.context.scene.hnf
+    plain = drawn(HNF_PT_export)
+    assert plain is not None
+    assert "hnf.export_copy" not in plain.operators
+    settings.export_format, settings.actuator, settings.own_peak_m_s2 = "ahap", "own", 12.5
+    scaled = drawn(HNF_PT_export)
+    assert scaled is not None
+    assert "1 is 12.5 m/s²" in scaled.words
+    settings.export_format = "wav"
+    assert bpy.ops.hnf.export() == {"FINISHED"}
+    told = drawn(HNF_PT_export)
+    assert told is not None
+    assert "1 is" not in told.words
+    assert "along.wav: nothing is lost" in told.words
+    assert "hnf.export_copy" in told.operators

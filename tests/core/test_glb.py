@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from touched_surfaces import palette, rough_tone, touched_sheet
 
+from hnf_core.cli.main import main
 from hnf_core.errors import FileError, SceneError, UsageError
 from hnf_core.export.glb import read_glb, surface_bytes, write_glb
 from hnf_core.export.gltf_file import glb_parts, view_bytes
@@ -22,6 +23,7 @@ from hnf_core.export.gltf_mesh import row_width, taxel_uv, vertex_table, vertice
 from hnf_core.export.options import ExportOptions, ImportOptions
 from hnf_core.export.png import grey_png
 from hnf_core.export.surface import UNTOUCHED, TouchedSurface
+from hnf_core.export.wav import write_wav
 from hnf_core.material.token import LEVELS
 from hnf_core.scene.mesh import TriangleMesh
 
@@ -228,3 +230,14 @@ def test_damage_is_named(data, tmp_path_factory: pytest.TempPathFactory) -> None
         return
     assert not cut
     assert np.isfinite(found.samples).all()
+
+
+def test_a_scene_without_blender_is_refused_with_a_remedy(tmp_path: Path, capsys) -> None:
+    """The core alone opens no .blend."""
+    wav = tmp_path / "x.wav"
+    write_wav(wav, rough_tone())
+    words = ["export", str(wav), "--format", "glb", "--out", str(tmp_path / "x.glb"), "--scene", "baked.blend"]
+    assert main(words, lambda arguments: 0) == 2
+    said = capsys.readouterr().err
+    assert "baked.blend can be opened with Blender alone" in said
+    assert "pip install bpy" in said
