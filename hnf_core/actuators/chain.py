@@ -82,10 +82,12 @@ class Chain:
         return np.where(good, block, np.float32(0.0))
 
 
-def counts_of(source: Source, device: SinkFormat, limits: Limits, stages: Sequence[Stage] = ()) -> Counts:
-    """All that a stream of source sends to device, pauses and interruptions aside: what any sink must have got, to the
-    byte. source must end."""
-    chain = Chain(source, device, limits, stages)
+def counts_of(
+    source: Source, device: SinkFormat, limits: Limits, stages: Sequence[Stage] = (), *, prompt: bool = True
+) -> Counts:
+    """All that a stream of source sends to device, where coils are cold and nobody pauses: what any sink must have got,
+    to the byte. source must end."""
+    chain = Chain(source, device, limits, stages, prompt=prompt)
     blocks: list[Counts] = []
     while not chain.ended:
         blocks.append(chain.block(4096))

@@ -23,7 +23,7 @@ from ..actuators.report import Durations
 from ..actuators.sink import Counts
 from ..actuators.sinks.audio import AudioSink
 from ..actuators.sinks.serial import SerialSink
-from ..actuators.source import Samples
+from ..actuators.sources.limited import Limited
 from ..actuators.sources.recorded import Recorded
 from ..actuators.stream import Stream
 from ..errors import DeviceError
@@ -56,19 +56,6 @@ CASES = (
     Case("serial, 10 kHz, 20 ms blocks, the other core busy", 10_000, 1, 0.02, busy=True),
     Case("serial, 8 kHz, 16 channels at 3 Mbaud, 5 ms blocks", 8_000, 16, 0.005),
 )
-
-
-class Some:
-    """The first frames of a source."""
-
-    def __init__(self, source: Recorded, frames: int) -> None:
-        self.rate_hz, self.channels = source.rate_hz, source.channels
-        self._source, self._left = source, frames
-
-    def read(self, frames: int) -> Samples:
-        found = self._source.read(min(frames, self._left))
-        self._left -= len(found)
-        return found
 
 
 def rows(options: Options, seconds: float | None = None) -> list[Row]:
@@ -136,13 +123,13 @@ def _spread(durations: Durations) -> Spread | None:
     return Spread(median, lowest, p99, durations.highest_ms * 1e-3, durations.count)
 
 
-def _source(rate_hz: int, channels: int, seconds: float) -> Some:
+def _source(rate_hz: int, channels: int, seconds: float) -> Limited:
     """Noise and now and then a shock that the limiter has to do with."""
     rng = np.random.default_rng(6)
     frames = int(min(_PERIOD_S, seconds) * rate_hz)
     samples = rng.normal(0.0, 4.0, (frames, channels)).astype(np.float32)
     samples[rng.random(frames) < 1e-3] *= 20.0
-    return Some(Recorded(samples, rate_hz, loop=True), round(seconds * rate_hz))
+    return Limited(Recorded(samples, rate_hz, loop=True), round(seconds * rate_hz))
 
 
 def _sounding(counts: Counts) -> Counts:

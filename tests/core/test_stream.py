@@ -69,19 +69,25 @@ def test_the_clock_keeps_the_contract_of_a_sink() -> None:
 
 
 @pytest.mark.parametrize(
-    ("source_hz", "sink_hz", "channels", "block_s", "ahead"),
-    [(10000.0, 10000.0, 1, 0.005, 3), (2800.0, 10000.0, 1, 0.005, 1), (8000.0, 8000.0, 16, 0.02, 3)],
+    ("source_hz", "sink_hz", "channels", "block_s", "ahead", "prompt"),
+    [
+        (10000.0, 10000.0, 1, 0.005, 3, True),
+        (2800.0, 10000.0, 1, 0.005, 1, True),
+        (2800.0, 10000.0, 2, 0.005, 3, False),
+        (8000.0, 8000.0, 16, 0.02, 3, True),
+    ],
 )
 def test_what_the_sink_gets_is_what_the_chain_makes_at_once(
-    source_hz: float, sink_hz: float, channels: int, block_s: float, ahead: int
+    source_hz: float, sink_hz: float, channels: int, block_s: float, ahead: int, prompt: bool
 ) -> None:
     samples = noise(0.4, source_hz, channels)
     sink = ClockSink(sink_hz, channels, round(0.015 * sink_hz))
-    with Stream(Recorded(samples, source_hz), sink, LIMITS, block_s=block_s, ahead_blocks=ahead) as stream:
+    source = Recorded(samples, source_hz)
+    with Stream(source, sink, LIMITS, block_s=block_s, ahead_blocks=ahead, prompt=prompt) as stream:
         assert stream.start() == sink.format
         assert stream.wait(60.0)
     assert stream.report.problem == ""
-    expected = counts_of(Recorded(samples, source_hz), sink.format, LIMITS)
+    expected = counts_of(Recorded(samples, source_hz), sink.format, LIMITS, prompt=prompt)
     assert np.array_equal(sink.counts, expected)
     report = stream.report
     assert report.state == "ended"
