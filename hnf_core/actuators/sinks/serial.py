@@ -262,15 +262,16 @@ class SerialSink:
         """START, until the first CREDIT of the session. Returns the frames that the device owes at most."""
         number, longest = secrets.randbelow(0xFFFF) + 1, int(LONGEST_QUEUE_S * self._rate_hz)
         peak, queue = min(self._peak, caps.peak), min(caps.queue, longest)
-        session, give_up = self._session, self._clock() + BUSY_S
+        session, give_up, patience_s = self._session, self._clock() + BUSY_S, START_S
         while session.credit is None:
             session.begin(number, self._rate_hz, self._clock())
             self._send(Start(self._rate_hz, self._channels, peak, number, self._slew, queue))
-            self._changed.wait_for(self._started, START_S)
+            self._changed.wait_for(self._started, patience_s)
             self._raise_problem()
             if session.credit is None and self._clock() >= give_up:
                 raise self._failed("the device does not start.", RESTART)
-            if session.refused(Code.BUSY):  # what was stopped still fades
+            if session.refused(Code.BUSY):  # what was stopped still fades; it says so once only
+                patience_s = START_BUSY_S
                 self._changed.wait_for(lambda: False, START_BUSY_S)
         credit = session.credit
         if credit.queue > longest:

@@ -79,11 +79,11 @@ def _known() -> str:
 
 def _holder(port: str) -> str:
     """Who has port open, as far as Linux lets us know."""
-    found = []
+    found, device = [], os.path.realpath(port)
     for link in Path("/proc").glob("[0-9]*/fd/*"):
         process = link.parents[1]
         try:
-            if os.path.realpath(link) == os.path.realpath(port):
+            if os.readlink(link) == device:
                 found.append(f"{(process / 'comm').read_text().strip()} (process {process.name})")
         except OSError:
             continue

@@ -106,7 +106,7 @@ class Session:
         """Called by who reads, after each read. What a computer that was busy elsewhere did not read in the meantime
         is no silence of the device's: only time in which it was awake counts."""
         awake_s, self._looked_s = min(now_s - self._looked_s, AWAKE_S), now_s
-        if self.number is None:
+        if self.credit is None:
             return
         self._unheard_s += awake_s
         self._unmoved_s = self._unmoved_s + awake_s if self.owed > 0 else 0.0
@@ -153,7 +153,7 @@ class Session:
                 f"the device says that it has played {-self.owed} frames that it never got.", "Update its firmware."
             )
         if any(found.state is not State.PLAYING for found in mine):
-            self._watch.restart()
+            self._watch.gap()
         elif (rate := self._watch.note(now_s, self.played)) is not None:
             self.fail(
                 f"the device says {self._watch.rate_hz:g} Hz and plays at {rate:.0f} Hz.",

@@ -17,8 +17,11 @@ from .transducer import GENERIC_TRANSDUCER, Transducer
 
 TICK_S = 0.001
 LATE_S = 0.005
-"""A thread that comes later than that has been kept waiting by the machine, which no device is: its clock has stood
-still, and that is counted."""
+"""Most that is played at once. A thread that comes later has been kept waiting by the machine, which no device is: it
+catches up in steps between which the host can feed it."""
+
+LOST_S = 0.5
+"""What it cannot catch up: its clock has stood still, and that is counted."""
 
 HELD_BYTES = 4096
 """That wait for a host that does not read; more is lost, as on any wire."""
@@ -120,11 +123,11 @@ class VirtualPort:
                 now = time.monotonic()
                 self._listen()
                 debt += (now - last) * self.device.rate_hz * self.speed
-                late = int(LATE_S * self.device.rate_hz)
-                last, due = now, min(int(debt), late)
-                if debt >= late + 1:
-                    self.slipped += int(debt) - late
-                    debt = float(due)
+                last, lost = now, debt - LOST_S * self.device.rate_hz
+                if lost > 0.0:
+                    self.slipped += int(lost)
+                    debt -= lost
+                due = min(int(debt), int(LATE_S * self.device.rate_hz))
                 debt -= due
                 self.device.advance(due)
                 self._speak()
