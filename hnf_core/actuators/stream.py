@@ -259,7 +259,7 @@ class Stream:
         finally:
             with self._lock:
                 self._square = 0.0
-                if self._chain is not None and self._device is not None:
+                if self._chain is not None and self._device is not None and self._device.coil:
                     WARMTH.note(self._device.device, self._limits, self._chain.limiter.heat)
             _live.discard(self)
             calm.release()

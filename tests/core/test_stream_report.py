@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from stream_sink import ClockSink
 
 from hnf_core.actuators.limits import Limits
 from hnf_core.actuators.report import Durations, StreamReport
+from hnf_core.actuators.sinks.file import FileSink
 from hnf_core.actuators.sources.recorded import Recorded
 from hnf_core.actuators.stream import Stream
 from hnf_core.actuators.warmth import Warmth
@@ -52,6 +54,15 @@ def test_a_coil_cools_by_its_own_time_constant_and_not_by_a_new_stream() -> None
     now[0] += 10.0
     assert warmth.heat("a", LIMITS, 2) == pytest.approx(np.array([0.9, 0.1]) * np.exp(-1.0))
     assert warmth.heat("a", LIMITS, 3) == pytest.approx([0.9 * np.exp(-1.0)] * 3)
+    warmth.note("a", LIMITS, np.array([0.5, 0.0]))  # two streams at once may tell in any order
+    assert warmth.heat("a", LIMITS, 2) == pytest.approx([0.5, 0.1 * np.exp(-1.0)])
+
+
+def test_of_two_devices_with_one_name_the_warmer_counts() -> None:
+    warmth = Warmth(lambda: 0.0)
+    warmth.note("a", LIMITS, np.array([0.4, 0.2]))
+    warmth.note("a", LIMITS, np.array([0.1, 0.3]))
+    assert warmth.heat("a", LIMITS, 2) == pytest.approx([0.4, 0.3])
 
 
 def test_heat_is_told_in_the_limits_it_is_asked_for() -> None:
@@ -60,6 +71,18 @@ def test_heat_is_told_in_the_limits_it_is_asked_for() -> None:
     assert warmth.heat("a", Limits(30.0, sustained=0.6), 1) == pytest.approx([0.1])
     assert warmth.heat("a", Limits(60.0, sustained=0.15), 1) == pytest.approx([0.4])
     assert warmth.heat("a", Limits(30.0, sustained=0.1), 1) == pytest.approx([1.0])
+
+
+def test_a_file_has_no_coil(tmp_path: Path) -> None:
+    limits, played = Limits(30.0, sustained=0.05, thermal_s=20.0), []
+    for _ in range(2):
+        with Stream(
+            Recorded(np.full((700, 1), 30.0, np.float32), 8000.0), FileSink(tmp_path / "x.wav", 8000.0), limits
+        ) as stream:
+            stream.start()
+            assert stream.wait(60.0)
+        played.append((tmp_path / "x.wav").read_bytes())
+    assert played[0] == played[1]
 
 
 def test_a_new_stream_does_not_cool_the_coil() -> None:

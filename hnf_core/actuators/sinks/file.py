@@ -42,7 +42,8 @@ class FileSink:
         if self._path.is_dir():
             raise self._refused("it is a folder", "Name a .wav file.")
         self._written, self._frames, self._open, self._problem = [], 0, True, ""
-        return SinkFormat(float(self._rate), self._channels, max(1, int(self._rate * QUEUE_S)), f"file {self._path}")
+        queue = max(1, int(self._rate * QUEUE_S))
+        return SinkFormat(float(self._rate), self._channels, queue, f"file {self._path}", coil=False)
 
     def wait(self, timeout_s: float) -> int:
         return max(1, int(self._rate * QUEUE_S))
