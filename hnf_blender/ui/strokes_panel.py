@@ -32,7 +32,7 @@ class HNF_PT_strokes(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa
         row.operator("wm.tool_set_by_id", text="Stroke Tool", icon="GREASEPENCIL").name = "hnf.stroke"
         row.menu("HNF_MT_stroke_add", text="Ready Strokes", icon="ADD")
         if chosen_output(context) != SPEAKERS:
-            row.operator("hnf.live_touch", text="Live Touch", icon="BRUSH_DATA")
+            layout.operator("hnf.live_touch", text="Live Touch", icon="BRUSH_DATA")
         if not strokes:
             hint(
                 layout,

@@ -1,0 +1,194 @@
+"""Strokes on the virtual actuator: chosen, tested, played, looped, followed, dragged, touched live, lost and found."""
+
+import os
+import signal
+import time
+
+import bpy
+from drive import scenery
+from drive.addon import baked, children, heard, ours, strokes
+from drive.timing import Spent
+
+SCREEN = "1280x1900"
+FRAMES = 72
+QUICK_S = 0.1  # of one call in the window's own thread; this may run on a busy machine
+SOON_S = 30.0
+
+
+def link():
+    return ours("actuator.link").LINK
+
+
+def facts():
+    return ours("actuator.state").ACTUATOR.facts
+
+
+def phase() -> str:
+    return facts().phase.value
+
+
+def choose(stage, target):
+    with stage.over():
+        stage.expect(f"'{target}' is chosen", bpy.ops.hnf.output_choose(target=target) == {"FINISHED"})
+    yield 0.2
+
+
+def check_a_baked_scene(stage):
+    # The panel stands below and opens closed; in these pictures it is seen.
+    panel = bpy.types.HNF_PT_actuator
+    bpy.utils.unregister_class(panel)
+    panel.bl_options, panel.bl_order = set(), -1
+    bpy.utils.register_class(panel)
+    scenery.empty_room()
+    yield from stage.drawn("WINDOW")
+    plate = scenery.plate(size_m=0.12)
+    scenery.stroke_on(plate, "Along", 0.06, seconds=1.5)
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end = 1, FRAMES
+    yield from scenery.look_at(stage, plate)
+    yield from stage.show_tab()
+    yield from stage.widen_sidebar(340)
+    yield from baked(stage)
+    yield from stage.until("its signal is there", lambda: heard("Along") is not None, SOON_S)
+    yield from stage.picture("speakers")
+    stage.expect("nothing runs beside Blender", children() == [], children())
+
+
+def check_devices_are_looked_for(stage):
+    state = ours("actuator.state").ACTUATOR
+    with stage.over():
+        bpy.ops.hnf.actuator_find()
+    yield from stage.until("they were looked for", lambda: not state.seeking, SOON_S)
+    stage.expect("without a fault", state.looked, state.missing)
+    yield from stage.picture("found")
+
+
+def check_the_test_button(stage):
+    yield from choose(stage, "virtual")
+    began = time.monotonic()
+    with Spent() as spent:
+        with stage.over():
+            stage.expect("pressed", bpy.ops.hnf.actuator_test() == {"FINISHED"})
+        yield from stage.until("it plays", lambda: phase() == "playing" and facts().level_m_s2 > 0.5, SOON_S)
+        stage.measured("first sound of a fresh player", time.monotonic() - began, "s")
+        yield from stage.picture("test", settle=0.2)
+        yield from stage.until("it ends", lambda: phase() == "ready", SOON_S)
+    stage.measured(f"longest call of ours ({spent.longest_name})", 1e3 * spent.longest, "ms")
+    stage.expect("Blender waits for nothing", spent.longest < QUICK_S, f"{spent.longest:.3f} s {spent.longest_name}")
+    stage.expect("without a fault", not facts().problem, facts().problem)
+
+
+def check_play_and_a_changed_force(stage):
+    bpy.context.scene.hnf.loop = True
+    with stage.over():
+        stage.expect("pressed", bpy.ops.hnf.preview_play() == {"FINISHED"})
+    yield from stage.until("it plays", lambda: phase() == "playing", SOON_S)
+    began, before = link().began, heard("Along")
+    yield from stage.picture("playing", settle=0.4)
+    curve = next(each for each in ours("compat").fcurves_of(strokes()[0]) if each.data_path == "hnf_stroke.force")
+    curve.keyframe_points[-1].co[1] = 4.0
+    curve.update()
+    strokes()[0].update_tag()
+    yield from stage.until("the change is there", lambda: heard("Along").stamp != before.stamp, SOON_S)
+    yield 1.0
+    stage.expect("it goes on", link().is_playing and link().began is began)
+    with stage.over():
+        bpy.ops.hnf.preview_stop()
+    yield from stage.until("silent", lambda: phase() == "ready", SOON_S)
+    stage.expect("without a fault", not facts().problem, facts().problem)
+    bpy.context.scene.hnf.loop = False
+
+
+def check_the_timeline(stage):
+    bpy.context.scene.frame_set(1)
+    yield 0.3
+    with stage.over():
+        bpy.ops.screen.animation_play()
+    try:
+        yield from stage.until("it is felt with the timeline", lambda: link().is_sounding, SOON_S)
+        yield from stage.until("the playhead moves on", lambda: bpy.context.scene.frame_current >= 10, SOON_S)
+    finally:
+        with stage.over():
+            bpy.ops.screen.animation_cancel(restore_frame=False)
+    yield 0.4
+    stage.expect("silent once the timeline stands", not link().is_playing)
+    stage.expect("without a fault", not facts().problem, facts().problem)
+
+
+def check_the_playhead_is_dragged(stage):
+    area = stage.area("DOPESHEET_EDITOR")
+    region = next(each for each in area.regions if each.type == "WINDOW")
+    with bpy.context.temp_override(window=stage.window(), area=area, region=region):
+        bpy.ops.action.view_all()
+    yield 0.5
+    bpy.context.scene.frame_set(1)
+    header = region.y + region.height - 10
+    at = [(region.x + region.width // 4 + 12 * k, header) for k in range(20)]
+    numbers = {link().newest.status.play}
+    yield from stage.move(at[0])
+    stage.event("LEFTMOUSE", "PRESS", at[0])
+    for place in at[1:]:
+        yield 0.08
+        stage.event("MOUSEMOVE", "NOTHING", place)
+        if link().newest is not None:
+            numbers.add(link().newest.status.play)
+    stage.event("LEFTMOUSE", "RELEASE", at[-1])
+    yield 0.3
+    stage.expect("the playhead went along", bpy.context.scene.frame_current > 1, bpy.context.scene.frame_current)
+    yield from stage.until("it was felt, and is silent again", lambda: len(numbers) > 1 and not link().is_playing, 5.0)
+
+
+def check_live_touch(stage):
+    plate = bpy.data.objects["Plate"]
+    yield from scenery.look_at(stage, plate)
+    with stage.over():
+        bpy.ops.hnf.live_touch("INVOKE_DEFAULT")
+    yield from stage.until("the device is taken", lambda: phase() == "live", SOON_S)
+    stage.expect("nothing is felt before the pen comes down", facts().level_m_s2 < 1e-3, facts().level_m_s2)
+    places = [stage.seen_at((0.04 * (k % 40 / 20.0 - 1.0) * (-1) ** (k // 40), 0.0, 0.0)) for k in range(120)]
+    levels = []
+    with Spent() as spent:
+        yield from stage.move(places[0])
+        stage.event("LEFTMOUSE", "PRESS", places[0])
+        for k, place in enumerate(places):
+            yield 0.015
+            stage.event("MOUSEMOVE", "NOTHING", place)
+            levels.append(facts().level_m_s2)
+            if k == 80:
+                stage.photograph("live")
+        stage.event("LEFTMOUSE", "RELEASE", places[-1])
+        yield 0.2
+    stage.expect("it is felt", max(levels) > 0.01, max(levels))
+    stage.measured(f"longest call of ours ({spent.longest_name})", 1e3 * spent.longest, "ms")
+    yield from stage.until("lifted, it is silent", lambda: facts().level_m_s2 < 1e-3, 5.0)
+    stage.expect("no stroke was made", len(strokes()) == 1)
+    yield from stage.key("ESC")
+    yield from stage.until("Esc ends it", lambda: phase() == "ready", 5.0)
+    stage.expect("without a fault", not facts().problem, facts().problem)
+
+
+def check_a_player_that_dies(stage):
+    with stage.over():
+        bpy.ops.hnf.preview_play()
+    yield from stage.until("it plays", lambda: phase() == "playing", SOON_S)
+    os.kill(link().pid, signal.SIGKILL)
+    yield from stage.until("it is told", lambda: facts().problem, 5.0)
+    stage.expect("in one sentence", "was killed" in facts().problem, facts().problem)
+    yield from stage.picture("lost")
+    with stage.over():
+        bpy.ops.hnf.preview_play()
+    yield from stage.until("it plays again", lambda: phase() == "playing", SOON_S)
+    stage.expect("and nothing is wrong any more", not facts().problem, facts().problem)
+
+
+def check_another_file_is_silence(stage):
+    bpy.context.scene.hnf.loop = True
+    with stage.over():
+        bpy.ops.hnf.preview_play()
+    yield from stage.until("it plays", lambda: phase() == "playing", SOON_S)
+    pid = link().pid
+    scenery.empty_room()
+    yield from stage.until("its process is gone", lambda: pid not in children(), 5.0)
+    yield from stage.until("the panel says so", lambda: phase() == "off", 5.0)
+    yield from choose(stage, "")
+    stage.expect("speakers again", ours("actuator.choice").chosen_output() == "")
