@@ -1,0 +1,66 @@
+"""A measured response becomes an actuator's profile."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..profile import ActuatorProfile
+from ..response import Response
+from .estimate import LEAST_COHERENCE
+from .resonator import Resonator, fit
+
+USABLE_DB = 20.0
+"""Below the median by more, a frequency is outside the range: the inverse filter could not bring it back."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """profile: with the response, relative to its median level in the range. gain_db: that median, got over asked.
+    resonator: fitted to the response."""
+
+    profile: ActuatorProfile
+    gain_db: float
+    resonator: Resonator
+
+
+def profiled(
+    base: ActuatorProfile,
+    response: Response,
+    *,
+    title: str,
+    calibrated: bool,
+    range_hz: tuple[float, float] | None = None,
+) -> Measured:
+    """base with what was measured on it.
+
+    range_hz: as told, or the longest stretch that came back coherent and within USABLE_DB of the median. calibrated:
+    the sensor's m/s² are true; then full scale is what the actuator gives at the median, and no longer base's.
+    """
+    found = range_hz or usable_range(response)
+    inside = (response.frequency_hz >= found[0]) & (response.frequency_hz <= found[1])
+    median = float(np.median(response.gain_db[inside] if inside.any() else response.gain_db))
+    relative = replace(response, gain_db=response.gain_db - median)
+    peak = base.limits.full_scale_m_s2
+    source = f"measured as {'its' if calibrated else 'a share of its'} acceleration; before: {base.source}"
+    profile = replace(
+        base,
+        name="measured",
+        title=title,
+        source=source,
+        range_hz=found,
+        peak_m_s2=peak * 10.0 ** (median / 20.0) if calibrated else base.peak_m_s2,
+        response=relative,
+    )
+    return Measured(profile, median, fit(relative))
+
+
+def usable_range(response: Response) -> tuple[float, float]:
+    """Ends [Hz] of the longest stretch that came back coherent and not too faint."""
+    median = np.median(response.gain_db[response.coherence >= LEAST_COHERENCE])
+    good = (response.coherence >= LEAST_COHERENCE) & (response.gain_db >= median - USABLE_DB)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(np.int8)))
+    starts, ends = edges[::2], edges[1::2] - 1
+    longest = int(np.argmax(ends - starts))
+    return float(response.frequency_hz[starts[longest]]), float(response.frequency_hz[ends[longest]])

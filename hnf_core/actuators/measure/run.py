@@ -1,0 +1,128 @@
+"""An actuator is asked for an excitation while a sensor listens."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import DeviceError, UsageError
+from ...field.resampling import resample
+from ...signal import Signal
+from ..chain import Chain
+from ..libraries import library
+from ..limits import COUNTS, Limits
+from ..sink import Sink
+from ..sources.recorded import Recorded
+from ..stream import Stream
+from ..virtual.sink import VirtualSink
+
+TAIL_S = 0.3
+"""Recorded on after the last sample has left, for the sound system's delay and the ringing."""
+
+
+class Sensor(Protocol):
+    """What listens."""
+
+    def begin(self) -> None: ...
+
+    def end(self) -> Signal:
+        """m/s² since begin()."""
+        ...
+
+
+class VirtualSkin:
+    """On the virtual actuator: the acceleration that its transducer reached."""
+
+    def __init__(self, sink: VirtualSink) -> None:
+        self._sink = sink
+
+    def begin(self) -> None:
+        self._sink.recording.forget()
+
+    def end(self) -> Signal:
+        recording = self._sink.recording
+        return Signal(recording.motion.acceleration[:, 0].astype(np.float32), recording.rate_hz, 0)
+
+
+class Accelerometer:
+    """On a sound input's first channel. device: part of its name, its index or None for the default. sensitivity:
+    m/s² at full scale of the input."""
+
+    def __init__(self, device: str | int | None, sensitivity: float) -> None:
+        self._device, self._sensitivity = device, sensitivity
+        self._stream: Any = None
+        self._pieces: list[NDArray[np.float32]] = []
+        self._lock = threading.Lock()
+        self._late = 0
+
+    def begin(self) -> None:
+        """Raises DeviceError where there is no such input."""
+        sounddevice = library("sounddevice")
+        try:
+            self._stream = sounddevice.InputStream(device=self._device, channels=1, callback=self._hear)
+            self._stream.start()
+        except (sounddevice.PortAudioError, ValueError) as error:
+            raise DeviceError(
+                f"the accelerometer's sound input cannot be opened ({error}).",
+                remedy="Name one that the system lists: --input audio:DEVICE.",
+            ) from error
+
+    def end(self) -> Signal:
+        """Raises DeviceError where samples were lost on the way."""
+        rate = float(self._stream.samplerate)
+        self._stream.close()
+        if self._late:
+            raise DeviceError(
+                "the sound input lost samples while it recorded.", remedy="Close other programs and measure again."
+            )
+        with self._lock:
+            heard = np.concatenate(self._pieces) if self._pieces else np.zeros(0, dtype=np.float32)
+        return Signal(np.asarray(heard * self._sensitivity, dtype=np.float32), rate, 0)
+
+    def _hear(self, block: Any, _frames: int, _time: Any, status: Any) -> None:
+        if status.input_overflow:
+            self._late += 1
+        with self._lock:
+            self._pieces.append(np.array(block[:, 0], dtype=np.float32))
+
+
+def measure(sink: Sink, sensor: Sensor, excitation: Signal, limits: Limits) -> tuple[Signal, Signal]:
+    """What the device was asked for, and what sensor heard of it, both at the device's rate.
+
+    Raises DeviceError where the device fails or misses frames, UsageError where its limits change the excitation.
+    """
+    source = Recorded(np.asarray(excitation.samples).reshape(-1, 1), excitation.sample_rate)
+    with Stream(source, sink, limits) as stream:
+        sensor.begin()
+        device = stream.start()
+        ended = stream.wait(excitation.duration_s + 10.0)
+        report = stream.report
+    time.sleep(TAIL_S)
+    heard = sensor.end()
+    if report.problem or not ended:
+        raise DeviceError(report.problem or "the device did not play the excitation to its end.")
+    if report.underruns or report.limited_samples:
+        raise UsageError(
+            f"the device did not get what it was asked for: {report.underruns} underruns, {report.limited_samples} "
+            "samples beyond its limits.",
+            remedy="Measure with a lower --level, on a machine at rest.",
+        )
+    chain = Chain(
+        Recorded(np.asarray(excitation.samples).reshape(-1, 1), excitation.sample_rate),
+        replace(device, channels=1),
+        limits,
+    )
+    counts = chain.block(round(len(excitation.samples) * device.rate_hz / excitation.sample_rate) + 1)[:, 0]
+    asked = Signal((counts * (limits.full_scale_m_s2 / COUNTS)).astype(np.float32), device.rate_hz, excitation.seed)
+    return asked, at_rate(heard, device.rate_hz)
+
+
+def at_rate(signal: Signal, rate_hz: float) -> Signal:
+    """signal, resampled where it has another rate."""
+    samples, _ = resample(np.asarray(signal.samples, dtype=np.float64), signal.sample_rate, rate_hz)
+    return replace(signal, samples=samples.astype(np.float32), sample_rate=rate_hz)
