@@ -23,8 +23,8 @@ class Warmth:
         self._known: dict[str, tuple[float, float, Real]] = {}
 
     def note(self, device: str, limits: Limits, heat: Real) -> None:
-        """heat: (channels,) of what limits' coils may warm to, as Limiter.heat tells it. Where two devices have one name,
-        the warmer one counts."""
+        """heat: (channels,) of what limits' coils may warm to, as Limiter.heat tells it. Of two devices with one name
+        the warmer counts."""
         heat = np.maximum(heat, self.heat(device, limits, len(heat)))
         square = heat * (limits.sustained * limits.full_scale_m_s2) ** 2
         with self._lock:

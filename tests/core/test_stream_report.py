@@ -54,7 +54,7 @@ def test_a_coil_cools_by_its_own_time_constant_and_not_by_a_new_stream() -> None
     now[0] += 10.0
     assert warmth.heat("a", LIMITS, 2) == pytest.approx(np.array([0.9, 0.1]) * np.exp(-1.0))
     assert warmth.heat("a", LIMITS, 3) == pytest.approx([0.9 * np.exp(-1.0)] * 3)
-    warmth.note("a", LIMITS, np.array([0.5, 0.0]))  # two streams at once may tell in any order
+    warmth.note("a", LIMITS, np.array([0.5, 0.0]))
     assert warmth.heat("a", LIMITS, 2) == pytest.approx([0.5, 0.1 * np.exp(-1.0)])
 
 
