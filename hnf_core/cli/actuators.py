@@ -195,7 +195,7 @@ def range_of(found: Measured) -> tuple[float, float]:
 
 def _asked_and_got(arguments: argparse.Namespace, base: ActuatorProfile) -> tuple[Signal, Signal, bool]:
     """At one rate; whether the second's m/s² are true."""
-    from ..actuators.measure.run import Accelerometer, Sensor, VirtualSkin, at_rate, measure
+    from ..actuators.measure.run import Accelerometer, at_rate, measure, simulate
 
     if (arguments.played is None) != (arguments.response is None) or (arguments.to is None) == (
         arguments.played is None
@@ -213,14 +213,12 @@ def _asked_and_got(arguments: argparse.Namespace, base: ActuatorProfile) -> tupl
         got = at_rate(came, asked.sample_rate)
         return asked, Signal(got.samples * sensitivity, got.sample_rate, 0), true
     target, limits = parse_target(arguments.to), base.limits
-    sink = sink_of(target, arguments.rate, limits)
-    sensor: Sensor
+    excitation = excitation_of(arguments, limits.full_scale_m_s2)
     if isinstance(target, VirtualTarget):
-        sensor = VirtualSkin(sink)  # type: ignore[arg-type]  # what sink_of() gives for it
-    else:
-        sensor = Accelerometer(_input_of(arguments.input), sensitivity)
-    asked, got = measure(sink, sensor, excitation_of(arguments, limits.full_scale_m_s2), limits)
-    return asked, got, isinstance(target, VirtualTarget) or arguments.sensitivity is not None
+        return *simulate(excitation, limits), True
+    sensor = Accelerometer(_input_of(arguments.input), sensitivity)
+    asked, got = measure(sink_of(target, arguments.rate, limits), sensor, excitation, limits)
+    return asked, got, arguments.sensitivity is not None
 
 
 def _input_of(words: str | None) -> str | int | None:

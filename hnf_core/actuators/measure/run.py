@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,40 +13,16 @@ from numpy.typing import NDArray
 from ...errors import DeviceError, UsageError
 from ...field.resampling import resample
 from ...signal import Signal
-from ..chain import Chain
+from ..chain import counts_of
 from ..libraries import library
 from ..limits import COUNTS, Limits
-from ..sink import Sink
+from ..sink import Sink, SinkFormat
 from ..sources.recorded import Recorded
 from ..stream import Stream
-from ..virtual.sink import VirtualSink
+from ..virtual.transducer import GENERIC_TRANSDUCER, drive_of, move
 
 TAIL_S = 0.3
 """Recorded on after the last sample has left, for the sound system's delay and the ringing."""
-
-
-class Sensor(Protocol):
-    """What listens."""
-
-    def begin(self) -> None: ...
-
-    def end(self) -> Signal:
-        """m/s² since begin()."""
-        ...
-
-
-class VirtualSkin:
-    """On the virtual actuator: the acceleration that its transducer reached."""
-
-    def __init__(self, sink: VirtualSink) -> None:
-        self._sink = sink
-
-    def begin(self) -> None:
-        self._sink.recording.forget()
-
-    def end(self) -> Signal:
-        recording = self._sink.recording
-        return Signal(recording.motion.acceleration[:, 0].astype(np.float32), recording.rate_hz, 0)
 
 
 class Accelerometer:
@@ -91,7 +67,7 @@ class Accelerometer:
             self._pieces.append(np.array(block[:, 0], dtype=np.float32))
 
 
-def measure(sink: Sink, sensor: Sensor, excitation: Signal, limits: Limits) -> tuple[Signal, Signal]:
+def measure(sink: Sink, sensor: Accelerometer, excitation: Signal, limits: Limits) -> tuple[Signal, Signal]:
     """What the device was asked for, and what sensor heard of it, both at the device's rate.
 
     Raises DeviceError where the device fails or misses frames, UsageError where its limits change the excitation.
@@ -112,14 +88,24 @@ def measure(sink: Sink, sensor: Sensor, excitation: Signal, limits: Limits) -> t
             "samples beyond its limits.",
             remedy="Measure with a lower --level, on a machine at rest.",
         )
-    chain = Chain(
-        Recorded(np.asarray(excitation.samples).reshape(-1, 1), excitation.sample_rate),
-        replace(device, channels=1),
-        limits,
-    )
-    counts = chain.block(round(len(excitation.samples) * device.rate_hz / excitation.sample_rate) + 1)[:, 0]
-    asked = Signal((counts * (limits.full_scale_m_s2 / COUNTS)).astype(np.float32), device.rate_hz, excitation.seed)
+    asked = asked_of(excitation, replace(device, channels=1), limits)
     return asked, at_rate(heard, device.rate_hz)
+
+
+def simulate(excitation: Signal, limits: Limits) -> tuple[Signal, Signal]:
+    """What the virtual actuator's transducer is asked for and gives, computed at once."""
+    device = SinkFormat(excitation.sample_rate, 1, 1, "virtual")
+    asked = asked_of(excitation, device, limits)
+    drive = drive_of(np.rint(asked.samples[:, None] * (COUNTS / limits.full_scale_m_s2)).astype(np.int16))
+    moved = move(GENERIC_TRANSDUCER, drive, device.rate_hz).acceleration[:, 0]
+    return asked, replace(asked, samples=moved.astype(np.float32))
+
+
+def asked_of(excitation: Signal, device: SinkFormat, limits: Limits) -> Signal:
+    """What leaves for the device, as acceleration at its rate."""
+    source = Recorded(np.asarray(excitation.samples).reshape(-1, 1), excitation.sample_rate)
+    counts = counts_of(source, device, limits)[:, 0]
+    return Signal((counts * (limits.full_scale_m_s2 / COUNTS)).astype(np.float32), device.rate_hz, excitation.seed)
 
 
 def at_rate(signal: Signal, rate_hz: float) -> Signal:

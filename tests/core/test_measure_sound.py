@@ -1,0 +1,38 @@
+"""An actuator measured through a real sound server: its output looped back into its input."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sound_server import sound_server, why_not
+
+from hnf_core.actuators.limits import Limits
+from hnf_core.actuators.measure.estimate import estimate
+from hnf_core.actuators.measure.excitation import sweep
+from hnf_core.actuators.measure.run import Accelerometer, measure
+from hnf_core.actuators.sinks.audio import AudioSink
+from hnf_core.errors import DeviceError, UsageError
+
+ATTEMPTS = 4
+CALM_S = 0.12
+"""Owed at most: nobody waits for a sweep, and a busy machine is late."""
+
+
+@pytest.mark.skipif(why_not() != "", reason=why_not())
+def test_a_wire_has_a_flat_response_and_its_delay(tmp_path: Path) -> None:
+    limits, excitation = Limits(10.0), sweep(10_000.0, 3.0, 10.0, 1000.0, 4.0)
+    with sound_server(tmp_path):
+        for attempt in range(ATTEMPTS):
+            try:
+                # Full scale of the input is 20 m/s² where full scale of the output is 10: a gain of two.
+                asked, got = measure(AudioSink(queue_s=CALM_S), Accelerometer(None, 20.0), excitation, limits)
+                break
+            except (UsageError, DeviceError):  # the machine was late, and it said so
+                if attempt == ATTEMPTS - 1:
+                    raise
+    found = estimate(asked.samples, got.samples, asked.sample_rate, 20.0, 900.0)
+    np.testing.assert_allclose(found.gain_db, 20.0 * np.log10(2.0), atol=0.1)
+    assert found.coherence.min() > 0.99
+    assert 0.0 < found.delay_s < 2.0
