@@ -267,7 +267,8 @@ class Stream:
 
     def _tell(self, error: Exception, what: str) -> None:
         """The first problem is the one that is told."""
-        text = str(error) if isinstance(error, HnfError) else f"{what} ({type(error).__name__}: {error})."
+        unforeseen = f"{what} ({type(error).__name__}: {error}). Start it anew; if that does not help, report it."
+        text = str(error) if isinstance(error, HnfError) else unforeseen
         with self._lock:
             self._problem = self._problem or text
 

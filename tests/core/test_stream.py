@@ -174,8 +174,8 @@ def test_a_source_that_fails_ends_in_silence_and_one_message(error: Exception) -
     assert stream.wait(60.0)
     report = stream.report
     assert (str(error) or type(error).__name__) in report.problem
-    assert sink.counts[-1] == 0
-    assert abs(int(sink.counts[-60])) > 5000
+    assert sink.counts[-1, 0] == 0
+    assert abs(int(sink.counts[-60, 0])) > 5000
     assert slope(sink.counts) < 1200, "it fades"
     assert sink.calls[-2:] == ["stop", "close"]
     assert at_rest()
