@@ -1,4 +1,4 @@
-"""From a source to counts: rate, stages, limiter. No thread, no device, no clock."""
+"""From a source to counts: stages, rate, limiter. No thread, no device, no clock."""
 
 from __future__ import annotations
 
@@ -64,14 +64,14 @@ class Chain:
         wanted = max(math.floor(self._owed), 1)
         self._owed -= wanted
         given = self._finite(self._source.read(wanted))
+        self.ended = len(given) < wanted
+        for stage in self._stages if len(given) else ():
+            given = stage.process(given)
         samples = self._resampler.process(given)
-        if len(given) < wanted:
-            self.ended = True
+        if self.ended:
             samples = np.concatenate([samples, self._resampler.finish()])
         if samples.shape[1] < self._device.channels:
             samples = np.repeat(samples, self._device.channels, axis=1)
-        for stage in self._stages if len(samples) else ():
-            samples = stage.process(samples)
         return self.limiter.process(samples)
 
     def _finite(self, block: Samples) -> Samples:

@@ -32,7 +32,7 @@ class Compensation:
 
 
 def compensation_of(profile: ActuatorProfile, rate_hz: float, channels: int) -> Compensation | None:
-    """What makes up for the actuator at rate_hz within its range; None where its response is not known."""
+    """What makes up for the actuator at a source's rate_hz, within its range; None where its response is not known."""
     if profile.response is None:
         return None
     low, high = profile.range_hz or (float(profile.response.frequency_hz[0]), float(profile.response.frequency_hz[-1]))

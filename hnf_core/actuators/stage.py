@@ -11,7 +11,7 @@ Samples = NDArray[np.float32]
 
 
 class Stage(Protocol):
-    """A causal filter at the device's rate, with memory of its own."""
+    """A causal filter at the source's rate, where there are fewest samples, with memory of its own."""
 
     def process(self, block: Samples) -> Samples:
         """(n, channels) m/s² → as many."""
