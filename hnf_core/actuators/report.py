@@ -36,7 +36,7 @@ class Durations:
 
 @dataclass(frozen=True)
 class StreamReport:
-    """state: ready, playing, paused or ended. device: as it calls itself. blocks, frames: handed to the sink.
+    """state: ready, playing, paused or ended. device: as it calls itself. blocks: made; frames: that the sink got.
     underruns: times that the device missed frames. errors: damaged or lost frames of the wire. compute_p99_ms: of a
     block, from its source to ready counts; compute_cpu_p99_ms: of that, what the thread computed. latency_p99_ms: from
     the moment a block was asked of the source until the sink had it. peak: largest level that left, as a share of full

@@ -1,6 +1,6 @@
 """A source played on a sink: ahead of time, on threads of its own, within the device's limits.
 
-    producer: source → resampler → stages → limiter → ring        pump: ring → sink
+    producer: source → stages → resampler → limiter → ring        pump: ring → sink
 
 What the pump sends is ready counts, so nothing a source does can hold up a device that still has frames; and when
 nothing comes any more, the device's own queue is the watchdog: it fades to silence by itself.
@@ -74,7 +74,7 @@ class Stream:
         self._chain: Chain | None = None
         self._ring: Ring | None = None
         self._status = SinkStatus()
-        self._blocks = self._frames = self._peak = 0
+        self._frames = self._peak = 0
         self._square = 0.0
         self._rate = 1.0
         self._problem = ""
@@ -142,7 +142,7 @@ class Stream:
             return StreamReport(
                 state=state,
                 device=self._device.device if self._device else "",
-                blocks=self._blocks,
+                blocks=self.compute.count,
                 frames=self._frames,
                 underruns=self._status.underruns,
                 errors=self._status.errors,
@@ -237,7 +237,6 @@ class Stream:
             self._status = status
             if len(counts) == 0:
                 return
-            self._blocks += 1
             self._frames += len(counts)
             wide = counts.astype(np.int64)
             self._peak = max(self._peak, int(np.abs(wide).max()))
