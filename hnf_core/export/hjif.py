@@ -48,7 +48,7 @@ HIGHEST_DEVICE_HZ = 10_000.0
 MOST_VERTICES = 2**16 - 1
 TEXTURE_EXPONENTS = (-6, -5, -4)
 """Ticks of 1, 10 or 100 µm: the finest whose timescale the profile allows."""
-_TEXT_FACTS = ("stroke", "object", "material", "library_material", "model", "probe", "confidence")
+_TEXT_FACTS = ("stroke", "object", "field", "material", "library_material", "probe", "confidence")
 _REMEDY = "Write WAV instead, or shorten the stroke."
 
 

@@ -69,5 +69,5 @@ def touched_sheet(*, uv: bool = True, baked: bool = True, path: bool = True) -> 
 def rough_tone(seconds: float = 0.3, hertz: float = 150.0, peak: float = 12.0) -> Signal:
     time = np.arange(round(seconds * RATE)) / RATE
     samples = (peak * np.sin(2.0 * np.pi * hertz * time)).astype(np.float32)
-    facts = {"stroke": "Scrape", "object": "Sheet", "material": "Grès ☕", "probe": "pen", "model": "ab" * 16}
+    facts = {"stroke": "Scrape", "object": "Sheet", "material": "Grès ☕", "probe": "pen", "field": "ab" * 16}
     return Signal(samples, RATE, 7, facts)
