@@ -83,13 +83,13 @@ FORMATS: dict[str, Format] = {
             write_android, read_android,
         ),
         Format(
-            "hjif", ".hjif", "MPEG haptics (ISO/IEC 23090-31): a vibration, and with --scene the vertices it lies on",
+            "hjif", ".hjif", "MPEG haptics (ISO/IEC 23090-31): the vibration; given the surface, with its vertices",
             "what MPEG's reference software reads and checks (`IOJson.cpp`, `IOCompatibility.h`); not against its JSON "
             "schema, which is not public, and not played by it",
             write_hjif, read_hjif,
         ),
         Format(
-            "glb", ".glb", "glTF: the mesh of --scene, what is baked on it as MPEG_haptic_material, and the signal",
+            "glb", ".glb", "glTF: the touched mesh, what is baked on it as MPEG_haptic_material, and the signal",
             "Khronos's glTF validator (no error, no warning) and Blender's importer; the extension against its public "
             "schemas, which do not say how pixels count",
             write_glb, read_glb, scaled=False,
