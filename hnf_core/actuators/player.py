@@ -53,7 +53,7 @@ from .sink import SinkFormat
 from .sources.live import Live
 from .sources.recorded import Recorded
 from .stream import Stream
-from .targets import parse_target, sink_of
+from .targets import FileTarget, parse_target, sink_of
 
 STATUS_S = 0.05
 AHEAD_BLOCKS = 3
@@ -158,8 +158,16 @@ class Player:
         gain = factor(command.gain_db)
         samples = found.samples * np.float32(gain)
         source = Recorded(samples, found.rate_hz, loop=command.loop, start_s=command.start_s)
-        block_s = command.block_ms / 1e3
-        self._begin(command.play, source, command.where, gain, block_s, AHEAD_BLOCKS, found.unit)
+        self._begin(
+            command.play,
+            source,
+            command.where,
+            found.unit,
+            gain=gain,
+            block_s=command.block_ms / 1e3,
+            ahead=AHEAD_BLOCKS,
+            endless=command.loop,
+        )
 
     def _live(self, command: LiveBegin) -> None:
         synthesis = synthesis_for_material(command.material, seed=command.seed, probe=command.probe)
@@ -168,13 +176,24 @@ class Player:
             now.source.touch(synthesis)
             self._went_on(replace(now, play=command.play))
         else:
-            self._begin(command.play, Live(synthesis), command.where, 1.0, LIVE_BLOCK_S, 1, "what the hand does")
+            self._begin(command.play, Live(synthesis), command.where, "what the hand does")
 
     def _begin(
-        self, play: int, source: Recorded | Live, where: Where, gain: float, block_s: float, ahead: int, note: str
+        self,
+        play: int,
+        source: Recorded | Live,
+        where: Where,
+        note: str,
+        *,
+        gain: float = 1.0,
+        block_s: float = LIVE_BLOCK_S,
+        ahead: int = 1,
+        endless: bool = True,
     ) -> None:
-        limits = profile_in(where).limits
-        sink = sink_of(parse_target(where.target), source.rate_hz, limits)
+        limits, target = profile_in(where).limits, parse_target(where.target)
+        if isinstance(target, FileTarget) and endless:
+            raise UsageError("what never ends cannot be played into a file.", remedy="Play it once.")
+        sink = sink_of(target, source.rate_hz, limits)
         stream = Stream(source, sink, limits, block_s=block_s, ahead_blocks=ahead)
         self.stop()
         device = stream.start()

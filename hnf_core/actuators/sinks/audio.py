@@ -19,9 +19,9 @@ from ..sink import Counts, SinkFormat, SinkStatus
 from .fading_queue import RAMP_S, FadingQueue
 
 QUEUE_S = 0.015
-"""Owed at most, the sound system's own part included, where that leaves something."""
+"""Owed at most by a live device."""
 
-SYSTEM_S = 0.005
+SYSTEM_SHARE = 1.0 / 3.0
 """Of that, asked for the sound system's own buffers. The rest is ours: a late pump is what there is most of."""
 
 LEAST_QUEUE_S = 0.005
@@ -38,10 +38,11 @@ _REMEDY = "Run `hnf actuators` to see what is there; another program may hold th
 
 
 class AudioSink:
-    """device: part of a name, an index, or None for the system's default. The rate is the device's own."""
+    """device: part of a name, an index, or None for the system's default. The rate is the device's own. queue_s: owed
+    at most, where the sound system can do with less itself."""
 
-    def __init__(self, device: str | int | None = None, channels: int = 1) -> None:
-        self._device, self._channels = device, channels
+    def __init__(self, device: str | int | None = None, channels: int = 1, *, queue_s: float = QUEUE_S) -> None:
+        self._device, self._channels, self._queue_s = device, channels, queue_s
         self._stream: Any = None
         self._queue = FadingQueue(1, channels, 1)
         self._incoming: deque[Counts | _Word] = deque()
@@ -61,13 +62,13 @@ class AudioSink:
                 device=self._device,
                 channels=self._channels,
                 dtype="int16",
-                latency=SYSTEM_S if low_s <= QUEUE_S else low_s,
+                latency=SYSTEM_SHARE * self._queue_s if low_s <= self._queue_s else low_s,
                 callback=self._give,
             )
         except (sounddevice.PortAudioError, ValueError) as error:
             raise self._refused(f"cannot be opened ({_reason(error)})", _REMEDY) from error
         held_s = float(stream.latency)
-        queue = int(rate * max(QUEUE_S - held_s, LEAST_QUEUE_S))
+        queue = int(rate * max(self._queue_s - held_s, LEAST_QUEUE_S))
         self._queue = FadingQueue(queue, self._channels, int(RAMP_S * rate))
         self._incoming.clear()
         self._written, self._told, self._problem = 0, _Told(), ""
@@ -121,7 +122,8 @@ class AudioSink:
         until = time.monotonic() + 0.1
         while not self._told.silent and stream.active and time.monotonic() < until:
             time.sleep(_POLL_S)
-        stream.abort(ignore_errors=True)
+        # The sound system still has the end of the fade: it is let out, unless nobody takes it any more.
+        (stream.abort if self._problem or not stream.active else stream.stop)(ignore_errors=True)
         stream.close(ignore_errors=True)
         _OPEN.discard(id(self))
 

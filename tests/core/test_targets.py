@@ -1,0 +1,111 @@
+"""Where a stream can go, in words."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hnf_core.actuators.limits import Limits
+from hnf_core.actuators.sinks.audio import AudioSink
+from hnf_core.actuators.sinks.file import FileSink
+from hnf_core.actuators.sinks.osc import OscSink
+from hnf_core.actuators.sinks.serial import SerialSink
+from hnf_core.actuators.targets import (
+    AudioTarget,
+    FileTarget,
+    OscTarget,
+    SerialTarget,
+    Target,
+    VirtualTarget,
+    devices,
+    parse_target,
+    sink_of,
+)
+from hnf_core.actuators.virtual.sink import VirtualSink
+from hnf_core.errors import UsageError
+
+
+@pytest.mark.parametrize(
+    ("words", "target"),
+    [
+        ("virtual", VirtualTarget()),
+        ("audio", AudioTarget()),
+        ("audio:3", AudioTarget(3)),
+        ("audio:USB DAC: Audio (hw:1,0), ALSA", AudioTarget("USB DAC: Audio (hw:1,0), ALSA")),
+        ("serial:/dev/ttyACM0", SerialTarget("/dev/ttyACM0")),
+        ("serial:COM3@115200", SerialTarget("COM3", 115200)),
+        ("serial:/dev/serial/by-id/usb@1@3000000", SerialTarget("/dev/serial/by-id/usb@1", 3000000)),
+        ("osc:127.0.0.1:9000", OscTarget("127.0.0.1", 9000)),
+        ("osc:[::1]:9000", OscTarget("::1", 9000)),
+        ("osc:quest.local:9000/avatar/parameters/hnf/", OscTarget("quest.local", 9000, "/avatar/parameters/hnf")),
+        ("file:out/x.wav", FileTarget(Path("out/x.wav"))),
+        ("file:C:\\x.wav", FileTarget(Path("C:\\x.wav"))),
+        (" virtual ", VirtualTarget()),
+    ],
+)
+def test_words_mean_a_target(words: str, target: Target) -> None:
+    assert parse_target(words) == target
+
+
+texts = st.text(st.characters(codec="ascii", exclude_characters="\n\r@"), min_size=1).filter(
+    lambda text: text.strip() == text
+)
+targets = st.one_of(
+    st.just(VirtualTarget()),
+    st.builds(AudioTarget, st.one_of(st.none(), st.integers(0, 999), texts.filter(lambda text: not text.isdigit()))),
+    st.builds(SerialTarget, texts, st.one_of(st.none(), st.integers(1, 10**8))),
+    st.builds(
+        OscTarget,
+        st.from_regex(r"[a-z0-9.-]{1,20}", fullmatch=True) | st.just("fe80::1"),
+        st.integers(1, 65535),
+        st.from_regex(r"(/[a-zA-Z0-9_]{1,8}){1,3}", fullmatch=True),
+    ),
+    st.builds(FileTarget, texts.map(Path)),
+)
+
+
+@given(targets)
+def test_a_target_is_found_again_by_its_words(target: Target) -> None:
+    assert parse_target(target.words) == target
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *("", "foo", "virtual:1", "audio:", "file", "file:"),
+        *("serial", "serial:", "serial:COM3@", "serial:COM3@fast", "serial:x@0"),
+        *("osc", "osc:host", "osc:host:0", "osc:host:65536", "osc::9000", "osc:::1:9000", "osc:h:1/*"),
+    ],
+)
+def test_what_is_no_target_names_the_form(words: str) -> None:
+    with pytest.raises(UsageError) as problem:
+        parse_target(words)
+    assert f"'{words}'" in str(problem.value)
+    assert words.partition(":")[0] in ("", "foo") or f"{words.partition(':')[0]}" in problem.value.remedy
+    assert "Say " in problem.value.remedy
+
+
+def test_every_target_has_its_sink(tmp_path: Path) -> None:
+    limits = Limits(30.0)
+    kinds = {"virtual": VirtualSink, "audio": AudioSink, "serial:COM9": SerialSink, "osc:h:1": OscSink}
+    for words, kind in {**kinds, f"file:{tmp_path / 'x.wav'}": FileSink}.items():
+        assert isinstance(sink_of(parse_target(words), 10_000.0, limits), kind)
+
+
+def test_devices_are_listed_or_it_is_said_why_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = devices()
+    assert found.all == found.serial + found.audio
+    for each in found.all:
+        assert parse_target(each.target).words == each.target
+        assert each.title
+    for module in ("serial", "sounddevice"):
+        monkeypatch.setitem(sys.modules, module, None)
+    found = devices()
+    assert found.all == ()
+    assert [line.partition(":")[0] for line in found.missing] == ["serial ports", "sound outputs"]
+    assert "pip install pyserial" in found.missing[0]
+    assert "pip install sounddevice" in found.missing[1]
