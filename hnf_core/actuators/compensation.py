@@ -31,9 +31,9 @@ class Compensation:
         return out
 
 
-def compensation_of(profile: ActuatorProfile, rate_hz: float, channels: int) -> Compensation | None:
-    """What makes up for the actuator at a source's rate_hz, within its range; None where its response is not known."""
+def stages_of(profile: ActuatorProfile, rate_hz: float, channels: int) -> tuple[Compensation, ...]:
+    """What makes up for the actuator at a source's rate_hz, within its range; none where its response is not known."""
     if profile.response is None:
-        return None
+        return ()
     low, high = profile.range_hz or (float(profile.response.frequency_hz[0]), float(profile.response.frequency_hz[-1]))
-    return Compensation(inverse_taps(profile.response, (low, min(high, 0.5 * rate_hz)), rate_hz), channels)
+    return (Compensation(inverse_taps(profile.response, (low, min(high, 0.5 * rate_hz)), rate_hz), channels),)

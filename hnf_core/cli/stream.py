@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..actuators.acceleration import Acceleration, factor, read_acceleration
+from ..actuators.compensation import stages_of
 from ..actuators.profile import GENERIC, ActuatorProfile
 from ..actuators.profile_file import profile_at
 from ..actuators.report import StreamReport
@@ -50,6 +51,9 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser.add_argument(
         "--block", type=float, default=5.0, metavar="MS", help="make samples in blocks of it (default 5; 20 if busy)"
     )
+    parser.add_argument(
+        "--raw", action="store_true", help="leave out the inverse filter of a measured profile (hnf actuators measure)"
+    )
     parser.add_argument("--seconds", type=float, metavar="S", help="stop after that long")
     parser.add_argument("--json", action="store_true", help="end with the report as one JSON object")
     return parser
@@ -66,7 +70,9 @@ def run(arguments: argparse.Namespace) -> int:
     source, whole_s = _source(samples, found.rate_hz, arguments.loop, arguments.seconds)
     sink = sink_of(target, found.rate_hz, limits)
     # Nobody touches a recording: the resampler may take its time.
-    stream = Stream(source, sink, limits, block_s=arguments.block / 1e3, ahead_blocks=AHEAD_BLOCKS, prompt=False)
+    stages = () if arguments.raw else stages_of(profile, found.rate_hz, source.channels)
+    block_s = arguments.block / 1e3
+    stream = Stream(source, sink, limits, block_s=block_s, ahead_blocks=AHEAD_BLOCKS, stages=stages, prompt=False)
     with _terminating_as_ctrl_c():
         try:
             device = stream.start()
@@ -102,11 +108,12 @@ def _announcement(
     limits = profile.limits
     owed_ms = 1e3 * device.queue_frames / device.rate_hz
     owes = "" if isinstance(parse_target(arguments.to), FileTarget) else f", owes at most {owed_ms:.0f} ms"
+    made_up = ", its response made up for" if profile.response is not None and not arguments.raw else ""
     return (
         f"{arguments.wav}: {found.duration_s:.2f} s at {found.rate_hz:g} Hz, {found.unit}, "
         f"largest {found.peak_m_s2:.3g} m/s²\n"
         f"to {device.device}: {device.rate_hz:g} Hz{owes}; gain {arguments.gain:g} dB; "
-        f"at most {limits.peak * limits.full_scale_m_s2:g} m/s² ({profile.title})"
+        f"at most {limits.peak * limits.full_scale_m_s2:g} m/s² ({profile.title}){made_up}"
     )
 
 

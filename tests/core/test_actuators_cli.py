@@ -141,3 +141,19 @@ def test_a_missing_or_binary_or_huge_profile_is_refused(tmp_path: Path) -> None:
         read_profile(path)
     with pytest.raises(UsageError, match=GENERIC.name):
         profile_at("nobody")
+
+
+def test_a_measured_profile_is_made_up_for_on_the_way_unless_raw(tmp_path: Path) -> None:
+    profile, wav = tmp_path / "p.json", tmp_path / "s.wav"
+    write_profile(profile, measured_profile())
+    time = np.arange(5000) / 10_000.0
+    write_wav(wav, Signal(np.sin(2 * np.pi * 40.0 * time).astype(np.float32), 10_000.0, 0))
+    levels = {}
+    for name, words in {"made up": (), "raw": ("--raw",)}.items():
+        out = tmp_path / f"{name}.wav"
+        assert hnf("stream", wav, "--to", f"file:{out}", "--profile", profile, *words) == 0
+        levels[name] = float(np.sqrt(np.mean(np.square(read_wav(out).samples[2000:4000]))))
+    response = measured_profile().response
+    assert response is not None
+    missing = -float(response.gain_db_at(40.0))
+    assert 20.0 * np.log10(levels["made up"] / levels["raw"]) == pytest.approx(missing, abs=0.7)

@@ -9,7 +9,7 @@ import numpy as np
 from ...metrics.band_energy import Band, band_power
 from ...signal import Signal
 from ..chain import Chain
-from ..compensation import compensation_of
+from ..compensation import stages_of
 from ..limits import COUNTS
 from ..profile import ActuatorProfile
 from ..sink import SinkFormat
@@ -31,9 +31,9 @@ def felt(signal: Signal, profile: ActuatorProfile, *, compensate: bool) -> Felt:
     Its phase is left out, which a skin does not hear; without a known response it is what leaves the limiter.
     """
     device = SinkFormat(signal.sample_rate, 1, round(0.015 * signal.sample_rate), profile.title)
-    stage = compensation_of(profile, signal.sample_rate, 1) if compensate else None
+    stages = stages_of(profile, signal.sample_rate, 1) if compensate else ()
     source = Recorded(np.asarray(signal.samples).reshape(-1, 1), signal.sample_rate)
-    chain = Chain(source, device, profile.limits, () if stage is None else (stage,))
+    chain = Chain(source, device, profile.limits, stages)
     counts = chain.block(len(signal.samples))[:, 0].astype(np.float64)
     got = counts * (profile.limits.full_scale_m_s2 / COUNTS)
     if profile.response is not None and len(got):
