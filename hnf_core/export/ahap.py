@@ -36,6 +36,7 @@ MOST_EVENTS = 20_000
 MOST_NAMED = 8
 HUGE = 1e30
 EDGE_S = 1e-9
+RISE_S = 1e-3
 _DIGITS = 6
 
 Curve = tuple[Float, Float]
@@ -59,24 +60,59 @@ def write_ahap(path: Path, signal: Signal, options: ExportOptions) -> tuple[str,
 
 
 def ahap_pattern(envelope: Envelope, options: ExportOptions) -> tuple[list[dict[str, Any]], int]:
-    """The pattern's entries, and how many points exceeded full scale."""
+    """The pattern's entries, and how many points exceeded full scale.
+
+    Curves apply to clicks too: while one sounds, the continuous event pauses and the intensity's curve is 1; the
+    sharpness at its place is the curve's alone.
+    """
     strength = np.round(envelope.amplitude / options.full_scale_m_s2, 12)
     intensity = np.sqrt(np.clip(strength, 0.0, 1.0))
-    sharpness = np.sqrt(np.clip(to_share(envelope.frequency, options.range_hz), 0.0, 1.0))
+    share = np.clip(to_share(envelope.frequency, options.range_hz), 0.0, 1.0)
+    pauses = _pauses(envelope)
+    borders = [0.0, *(border for start, _, stop, _ in pauses for border in (start, stop)), envelope.duration_s]
     entries: list[dict[str, Any]] = []
-    end, start = round(envelope.duration_s, _DIGITS), 0.0
+    for start, stop in zip(borders[::2], borders[1::2], strict=True):
+        entries += _continuous(round(start, _DIGITS), round(stop, _DIGITS))
+    time, paused = envelope.time, intensity
+    for start, _, stop, _ in pauses:
+        time, paused = _raised(time, paused, start, stop)
+    entries += _curves(INTENSITY, time, paused, control_points(time, paused, options.error * float(intensity.max())))
+    entries += _curves(SHARPNESS, envelope.time, np.sqrt(share), tone_points(envelope))
+    for _, at, _, amplitude in pauses:
+        level = min(1.0, amplitude / options.full_scale_m_s2) ** 0.5
+        entries.append(_event("HapticTransient", round(at, _DIGITS), level, 0.0))
+    return entries, int(np.count_nonzero(strength > 1.0))
+
+
+def _pauses(envelope: Envelope) -> list[tuple[float, float, float, float]]:
+    """Start, click, stop and amplitude of each, within the signal and before its last RISE_S / 2."""
+    end, half = envelope.duration_s, 0.5 * EMPHASIS_S
+    found = []
+    for each in envelope.emphases if end > 4.0 * RISE_S else ():
+        at = min(each.time_s, end - RISE_S)
+        start = at - half if at - half > RISE_S else 0.0
+        found.append((start, at, min(at + half, end - 0.5 * RISE_S), each.amplitude))
+    return found
+
+
+def _raised(time: Float, value: Float, start: float, stop: float) -> Curve:
+    """The curve at 1 from start to stop, but for a rise of RISE_S / 4 inside both ends."""
+    edges = np.array([start, start + 0.25 * RISE_S, stop - 0.25 * RISE_S, stop])
+    heights = np.array([np.interp(start, time, value), 1.0, 1.0, np.interp(stop, time, value)])
+    if start == 0.0:
+        edges, heights = edges[1:] * [0, 1, 1], heights[1:]
+    # Two points nearer than this could be one once their times are rounded.
+    apart = 0.1 * RISE_S
+    outside = (time < edges[0] - apart) | (time > edges[-1] + apart)
+    order = np.argsort(np.concatenate([time[outside], edges]), kind="stable")
+    return np.concatenate([time[outside], edges])[order], np.concatenate([value[outside], heights])[order]
+
+
+def _continuous(start: float, end: float) -> Iterator[dict[str, Any]]:
     while start < end:
         length = round(min(LONGEST_EVENT_S, end - start), _DIGITS)
-        entries.append(_event("HapticContinuous", start, 1.0, 0.0, EventDuration=length))
+        yield _event("HapticContinuous", start, 1.0, 0.0, EventDuration=length)
         start = round(start + length, _DIGITS)
-    points = control_points(envelope.time, intensity, options.error * float(intensity.max()))
-    entries += _curves(INTENSITY, envelope.time, intensity, points)
-    entries += _curves(SHARPNESS, envelope.time, sharpness, tone_points(envelope))
-    for each in envelope.emphases:
-        level = min(1.0, each.amplitude / options.full_scale_m_s2) ** 0.5
-        tone = min(1.0, max(0.0, to_share(each.frequency_hz, options.range_hz))) ** 0.5
-        entries.append(_event("HapticTransient", round(each.time_s, _DIGITS), level, tone))
-    return entries, int(np.count_nonzero(strength > 1.0))
 
 
 def read_ahap(path: Path, options: ImportOptions) -> Signal:

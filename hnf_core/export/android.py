@@ -37,7 +37,7 @@ DROPPED = (
 def write_android(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
     """What was left out. Raises FileError where a sample is not finite, the disk refuses, or the signal is shorter than
     a millisecond, which Android does not play."""
-    envelope = envelope_of(signal, options.range_hz)
+    envelope = envelope_of(signal, options.range_hz, clicks=False)
     timings, amplitudes, clipped = steps(envelope, options.full_scale_m_s2)
     if not timings:
         raise FileError("shorter than 1 ms.", where=str(path), remedy="Android plays nothing that short.")

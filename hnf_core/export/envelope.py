@@ -66,8 +66,9 @@ class Envelope:
         return float(self.time[-1])
 
 
-def envelope_of(signal: Signal, range_hz: tuple[float, float]) -> Envelope:
+def envelope_of(signal: Signal, range_hz: tuple[float, float], *, clicks: bool = True) -> Envelope:
     """The envelope of signal within range_hz, every STEP_S. Silence has amplitude 0, and the range's middle frequency.
+    clicks: are told apart, and are then not in amplitude; else they are in it, as all else.
 
     Raises FileError where a sample is not finite.
     """
@@ -90,7 +91,14 @@ def envelope_of(signal: Signal, range_hz: tuple[float, float]) -> Envelope:
     if heard.any():
         centroid = turning[heard] / (2.0 * np.pi * power[heard])
         frequency = np.interp(at, at[heard], np.clip(centroid, *range_hz))
-    return Envelope(at / rate, amplitude, frequency, _clicks(x, rate, at, amplitude, frequency))
+    found = _clicks(x, rate, at, amplitude) if clicks else {}
+    beside = np.ones(len(at), bool)
+    for index in found:
+        beside[max(0, index - ASIDE[0]) : index + ASIDE[0] + 1] = False
+    if beside.any():
+        amplitude = np.interp(at, at[beside], amplitude[beside])
+    marks = (Emphasis(float(at[index] / rate), peak, float(frequency[index])) for index, peak in found.items())
+    return Envelope(at / rate, amplitude, frequency, tuple(marks))
 
 
 def grid(count: int, rate: float) -> Index:
@@ -156,8 +164,8 @@ def _farthest(time: Sequence[float], value: Sequence[float], error: float, start
     return best
 
 
-def _clicks(x: Float, rate: float, at: Index, amplitude: Float, frequency: Float) -> tuple[Emphasis, ...]:
-    """The highest first; each on a point of the grid."""
+def _clicks(x: Float, rate: float, at: Index, amplitude: Float) -> dict[int, float]:
+    """Where on the grid → how high, in order of time. Of those nearer than CLICKS_APART_S, the highest."""
     half = max(1, round(0.5 * STEP_S * rate))
     peak = around(np.abs(x), at, half, _largest)
     calm = around(amplitude, np.arange(len(at)), ASIDE[1], _beside)
@@ -168,7 +176,7 @@ def _clicks(x: Float, rate: float, at: Index, amplitude: Float, frequency: Float
     for index in loud[np.argsort(-peak[loud], kind="stable")]:
         if all(abs(at[index] - at[each]) >= CLICKS_APART_S * rate for each in taken):
             taken.append(int(index))
-    return tuple(Emphasis(float(at[i] / rate), float(peak[i]), float(frequency[i])) for i in sorted(taken))
+    return {index: float(peak[index]) for index in sorted(taken)}
 
 
 def _mean(rows: Float, weight: Float) -> Float:

@@ -111,6 +111,12 @@ def test_a_click_is_told_apart_from_a_texture() -> None:
     (click,) = envelope_of(signal_of(samples), RANGE).emphases
     assert click.time_s == pytest.approx(0.7, abs=0.005)
     assert click.amplitude == pytest.approx(12.0, rel=0.1)
+    calm, told, whole = (
+        envelope_of(signal_of(each), RANGE, clicks=apart).amplitude
+        for each, apart in ((rough.samples * 0.1, True), (samples, True), (samples, False))
+    )
+    assert np.abs(told - calm).max() < 0.5
+    assert whole.max() > 4.0
 
 
 @given(
