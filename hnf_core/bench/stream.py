@@ -33,8 +33,8 @@ NAME = "stream"
 SECONDS, QUICK_SECONDS = 600.0, 1.0
 BAUDRATE = 3_000_000
 LIMITS = Limits(30.0, slew_per_s=2.0 * np.pi * 1000.0, sustained=0.5)
-SOFTLY = Limits(30.0, peak=0.01)
-"""For an output that may be somebody's loudspeaker."""
+SOFTLY = 0.002
+"""Gain, for an output that may be somebody's loudspeaker."""
 
 _PERIOD_S = 10.0
 _MARGIN_S = 30.0
@@ -82,15 +82,15 @@ def _on_serial(case: Case, seconds: float) -> Row:
             except DeviceError as error:
                 return Row(NAME, case.method, note=str(error))
             actuator.end()
-        expected = _sounding(counts_of(_source(case.rate_hz, case.channels, seconds), form, LIMITS))
-        wrong = _differing(expected, np.load(record))
+        expected = sounding(counts_of(_source(case.rate_hz, case.channels, seconds), form, LIMITS))
+        wrong = differing(expected, np.load(record))
     return _row(case.method, stream, wrong, f", the device's clock slipped by {actuator.slipped} frames")
 
 
 def _on_audio(seconds: float) -> Row:
     method = "sound output, 5 ms blocks"
     try:
-        with Stream(_source(10_000, 1, seconds), AudioSink(), SOFTLY) as stream:
+        with Stream(_source(10_000, 1, seconds, SOFTLY), AudioSink(), LIMITS) as stream:
             form = stream.start()
             stream.wait(seconds + _MARGIN_S)
     except DeviceError as error:
@@ -111,7 +111,7 @@ def _row(method: str, stream: Stream, wrong: float | None, more: str) -> Row:
         _spread(stream.compute),
         _spread(stream.compute_cpu),
         error=wrong,
-        error_unit="" if wrong is None else "of the counts differ",
+        error_unit="" if wrong is None else "of the counts",
         note=f"{note}: {report.problem}" if report.problem else note,
     )
 
@@ -123,22 +123,22 @@ def _spread(durations: Durations) -> Spread | None:
     return Spread(median, lowest, p99, durations.highest_ms * 1e-3, durations.count)
 
 
-def _source(rate_hz: int, channels: int, seconds: float) -> Limited:
+def _source(rate_hz: int, channels: int, seconds: float, gain: float = 1.0) -> Limited:
     """Noise and now and then a shock that the limiter has to do with."""
     rng = np.random.default_rng(6)
     frames = int(min(_PERIOD_S, seconds) * rate_hz)
     samples = rng.normal(0.0, 4.0, (frames, channels)).astype(np.float32)
     samples[rng.random(frames) < 1e-3] *= 20.0
-    return Limited(Recorded(samples, rate_hz, loop=True), round(seconds * rate_hz))
+    return Limited(Recorded(samples * np.float32(gain), rate_hz, loop=True), round(seconds * rate_hz))
 
 
-def _sounding(counts: Counts) -> Counts:
+def sounding(counts: Counts) -> Counts:
     """From the first frame that is no silence to the last."""
     loud = np.flatnonzero(counts.any(axis=1))
     return counts[loud[0] : loud[-1] + 1] if len(loud) else counts[:0]
 
 
-def _differing(expected: Counts, played: Counts) -> float:
+def differing(expected: Counts, played: Counts) -> float:
     """Share of the counts; all of them where as many frames as expected were not played."""
     if expected.shape != played.shape:
         return 1.0

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,15 +17,15 @@ from ..actuators.virtual.port import VirtualPort
 
 
 class Paced:
-    """Bytes as a line of baudrate carries them, ten bits each: those that come faster wait."""
+    """Bytes as a line of baudrate carries them, ten bits each: those that come faster wait. clock: s."""
 
-    def __init__(self, baudrate: int) -> None:
-        self._per_s = baudrate / 10.0
+    def __init__(self, baudrate: int, clock: Callable[[], float] = time.monotonic) -> None:
+        self._per_s, self._clock = baudrate / 10.0, clock
         self._waiting = b""
-        self._allowed, self._then = 0.0, time.monotonic()
+        self._allowed, self._then = 0.0, clock()
 
     def __call__(self, data: bytes) -> bytes:
-        now = time.monotonic()
+        now = self._clock()
         self._waiting += data
         self._allowed = min(self._allowed + (now - self._then) * self._per_s, float(len(self._waiting)))
         self._then, count = now, int(self._allowed)

@@ -1,0 +1,49 @@
+"""The stream's bench: what it compares, what it paces, and that its rows come. No time is asserted."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hnf_core.bench.frame import Options
+from hnf_core.bench.stream import CASES, differing, rows, sounding
+from hnf_core.bench.stream_device import Paced
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 0.01), st.binary(max_size=500)), max_size=30))
+def test_a_line_passes_on_every_byte_in_order_and_none_too_early(sent: list[tuple[float, bytes]]) -> None:
+    now = [5.0]
+    paced = Paced(100_000, lambda: now[0])
+    through = b""
+    for wait_s, data in sent:
+        now[0] += wait_s
+        through += paced(data)
+        assert len(through) <= math.ceil((now[0] - 5.0) * 10_000.0 + 1e-6)
+    now[0] += 100.0
+    assert through + paced(b"") == b"".join(data for _, data in sent)
+
+
+def test_what_was_played_is_compared_from_sound_to_sound() -> None:
+    counts = np.array([[0, 0], [0, 3], [0, 0], [5, 0], [0, 0]], dtype=np.int16)
+    assert sounding(counts).tolist() == [[0, 3], [0, 0], [5, 0]]
+    assert sounding(counts[:1]).shape == (0, 2)
+    assert differing(counts, counts.copy()) == 0.0
+    other = counts.copy()
+    other[2, 0] = 1
+    assert differing(counts, other) == pytest.approx(0.1)
+    assert differing(counts, counts[:-1]) == 1.0
+
+
+def test_its_rows_come() -> None:
+    pytest.importorskip("serial", reason="pyserial is not installed")
+    told: list[str] = []
+    found = rows(Options(quick=True, watch=told.append), seconds=0.2)
+    assert [row.method for row in found][:-1] == [case.method for case in CASES]
+    assert len(told) == len(found) == len(CASES) + 1
+    for row in found[:-1]:
+        assert "underruns" in row.note
+        assert row.error is not None
