@@ -33,8 +33,10 @@ NAME = "stream"
 SECONDS, QUICK_SECONDS = 600.0, 1.0
 BAUDRATE = 3_000_000
 LIMITS = Limits(30.0, slew_per_s=2.0 * np.pi * 1000.0, sustained=0.5)
-SOFTLY = 0.002
-"""Gain, for an output that may be somebody's loudspeaker."""
+SOFTLY = Limits(30.0, peak=0.01)
+"""For an output that may be somebody's loudspeaker."""
+
+SOFT = 0.002
 
 _PERIOD_S = 10.0
 _MARGIN_S = 30.0
@@ -90,7 +92,7 @@ def _on_serial(case: Case, seconds: float) -> Row:
 def _on_audio(seconds: float) -> Row:
     method = "sound output, 5 ms blocks"
     try:
-        with Stream(_source(10_000, 1, seconds, SOFTLY), AudioSink(), LIMITS) as stream:
+        with Stream(_source(10_000, 1, seconds, SOFT), AudioSink(), SOFTLY) as stream:
             form = stream.start()
             stream.wait(seconds + _MARGIN_S)
     except DeviceError as error:
