@@ -21,7 +21,7 @@ import numpy as np
 from ..errors import FileError
 from ..signal import Signal
 from .envelope import STEP_S, Emphasis, Envelope, Float, Index, control_points, envelope_of
-from .haptic import DROPPED, clipped_words, from_share, steps_as_ramps, to_share, tone_points
+from .haptic import DROPPED, beyond, clipped_words, from_share, steps_as_ramps, to_share, tone_points
 from .json_files import Reading, read_json, write_json
 from .options import ExportOptions, ImportOptions
 from .origin import EDITOR, Origin, origin_of, origin_text, rendered_facts
@@ -60,13 +60,12 @@ def write_ahap(path: Path, signal: Signal, options: ExportOptions) -> tuple[str,
 
 
 def ahap_pattern(envelope: Envelope, options: ExportOptions) -> tuple[list[dict[str, Any]], int]:
-    """The pattern's entries, and how many points exceeded full scale.
+    """The pattern's entries, and how many values exceeded full scale.
 
     Curves apply to clicks too: while one sounds, the continuous event pauses and the intensity's curve is 1; the
     sharpness at its place is the curve's alone.
     """
-    strength = np.round(envelope.amplitude / options.full_scale_m_s2, 12)
-    intensity = np.sqrt(np.clip(strength, 0.0, 1.0))
+    intensity = np.sqrt(np.clip(envelope.amplitude / options.full_scale_m_s2, 0.0, 1.0))
     share = np.clip(to_share(envelope.frequency, options.range_hz), 0.0, 1.0)
     pauses = _pauses(envelope)
     borders = [0.0, *(border for start, _, stop, _ in pauses for border in (start, stop)), envelope.duration_s]
@@ -81,7 +80,7 @@ def ahap_pattern(envelope: Envelope, options: ExportOptions) -> tuple[list[dict[
     for _, at, _, amplitude in pauses:
         level = min(1.0, amplitude / options.full_scale_m_s2) ** 0.5
         entries.append(_event("HapticTransient", round(at, _DIGITS), level, 0.0))
-    return entries, int(np.count_nonzero(strength > 1.0))
+    return entries, beyond(envelope, options)
 
 
 def _pauses(envelope: Envelope) -> list[tuple[float, float, float, float]]:

@@ -48,7 +48,7 @@ def write_haptic(path: Path, signal: Signal, options: ExportOptions) -> tuple[st
 
 
 def haptic_record(envelope: Envelope, options: ExportOptions) -> tuple[dict[str, Any], int]:
-    """version and signals of the file, and how many points exceeded full scale."""
+    """version and signals of the file, and how many values exceeded full scale."""
     strength = np.round(envelope.amplitude / options.full_scale_m_s2, 12)
     marks = {int(np.argmin(np.abs(envelope.time - each.time_s))): each for each in envelope.emphases}
     points = []
@@ -68,7 +68,7 @@ def haptic_record(envelope: Envelope, options: ExportOptions) -> tuple[dict[str,
         for index in tone_points(envelope)
     ]
     signals = {"continuous": {"envelopes": {"amplitude": points, "frequency": tones}}}
-    return {"version": dict(VERSION), "signals": signals}, int(np.count_nonzero(strength > 1.0))
+    return {"version": dict(VERSION), "signals": signals}, beyond(envelope, options)
 
 
 def read_haptic(path: Path, options: ImportOptions) -> Signal:
@@ -138,6 +138,12 @@ def to_share(hertz: Any, range_hz: tuple[float, float]) -> Any:
 def from_share(share: Any, range_hz: tuple[float, float]) -> Any:
     """0 … 1 of the range → Hz."""
     return range_hz[0] + share * (range_hz[1] - range_hz[0])
+
+
+def beyond(envelope: Envelope, options: ExportOptions) -> int:
+    """How many of its values and clicks exceed full scale; rounding is not counted."""
+    levels = np.concatenate([envelope.amplitude, [each.amplitude for each in envelope.emphases]])
+    return int(np.count_nonzero(np.round(levels / options.full_scale_m_s2, 12) > 1.0))
 
 
 def clipped_words(count: int, options: ExportOptions) -> tuple[str, ...]:

@@ -244,6 +244,8 @@ def test_clicks_come_back_as_clicks(tmp_path: Path, word: str) -> None:
     loud = np.flatnonzero(np.abs(again.samples) > 6.0) / again.sample_rate
     assert ((np.abs(loud - 0.4) < 0.015) | (np.abs(loud - 0.9) < 0.015)).all()
     assert len(second) in (0, 2)
+    words = FORMATS[word].write(path, signal, ExportOptions(10.0))
+    assert any(each.startswith("Clipped: 2 values") for each in words)
 
 
 @pytest.mark.parametrize("word", WORDS)
