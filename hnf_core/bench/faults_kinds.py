@@ -62,7 +62,7 @@ def damaged(share: float, to_device: bool, to_host: bool) -> Trial:
             found[hit] ^= np.left_shift(1, rig.rng.integers(0, 8, int(hit.sum()))).astype(np.uint8)
             return found.tobytes()
 
-        return _on_the_wire(rig, flip, to_device, to_host, ends=share > 0.1)
+        return _on_the_wire(rig, flip, to_device, to_host, ends=share > 0.01, gets_through=share < 0.1)
 
     return trial
 
@@ -79,7 +79,17 @@ def garbage(to_device: bool, to_host: bool) -> Trial:
     return trial
 
 
-def _on_the_wire(rig: Rig, wire: Callable[[bytes], bytes], to_device: bool, to_host: bool, *, ends: bool) -> Outcome:
+def _on_the_wire(
+    rig: Rig,
+    wire: Callable[[bytes], bytes],
+    to_device: bool,
+    to_host: bool,
+    *,
+    ends: bool,
+    gets_through: bool = False,
+) -> Outcome:
+    """gets_through: enough to play on until the host knows; silence counts from then."""
+
     def lay(now: Callable[[bytes], bytes]) -> None:
         if to_device:
             rig.port.from_host = now
@@ -93,7 +103,7 @@ def _on_the_wire(rig: Rig, wire: Callable[[bytes], bytes], to_device: bool, to_h
         with rig.port.standing():
             lay(bytes)
         return rig.stopped()
-    outcome = rig.ended(struck)
+    outcome = rig.ended(struck, from_notice=gets_through)
     with rig.port.standing():
         lay(bytes)
     return replace(outcome, again=rig.starts_again())
@@ -231,6 +241,7 @@ KINDS = (
     Kind("garbage to the host", garbage(False, True)),
     Kind("garbage both ways", garbage(True, True)),
     Kind("1 byte in 2000 flipped, both ways", damaged(0.0005, True, True), 0, True),
+    Kind("1 byte in 40 flipped, both ways", damaged(0.025, True, True)),
     Kind("wrong version", wrong_version),
     Kind("short writes", short_writes, 0, True),
     Kind("a write that ends short", write_that_ends_short),

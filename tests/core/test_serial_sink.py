@@ -91,12 +91,19 @@ def test_after_stop_it_begins_again(port: VirtualPort) -> None:
 
 
 @pytest.mark.parametrize(
-    ("rate", "expected"), [((1000, 48_000), 8000), ((10_000, 48_000), 10_000), ((1000, 4000), 4000)]
+    ("has", "wished", "taken"),
+    [
+        ((1000, 48_000), None, 8000),
+        ((10_000, 48_000), None, 10_000),
+        ((1000, 4000), None, 4000),
+        ((1000, 9000), 44_100, 9000),
+        ((1000, 48_000), 11_025, 11_025),
+    ],
 )
-def test_the_device_chooses_a_rate_that_it_has(rate: tuple[int, int], expected: int) -> None:
-    with VirtualPort(Abilities(lowest_hz=rate[0], highest_hz=rate[1])) as port:
-        sink = SerialSink(port.path)
-        assert sink.open().rate_hz == expected
+def test_the_nearest_rate_that_the_device_has_is_taken(has: tuple[int, int], wished: int | None, taken: int) -> None:
+    with VirtualPort(Abilities(lowest_hz=has[0], highest_hz=has[1])) as port:
+        sink = SerialSink(port.path, rate_hz=wished)
+        assert sink.open().rate_hz == taken
         sink.close()
 
 
@@ -115,7 +122,6 @@ def test_the_temperature_and_the_level_reach_us() -> None:
     [
         (Abilities(version=3), ["version 1", "version 3", "firmware"], {}),
         (Abilities(channels=2), ["has 2 channels, not 4", "at most 2"], {"channels": 4}),
-        (Abilities(highest_hz=9000), ["1000 to 9000 Hz, not at 10000 Hz"], {"rate_hz": 10_000}),
     ],
 )
 def test_a_device_that_cannot_is_named(abilities: Abilities, words: list[str], wanted: dict[str, int]) -> None:

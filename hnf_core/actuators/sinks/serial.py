@@ -70,9 +70,9 @@ class SerialSink:
         answer_s: float = 2.0,
         clock: Callable[[], float] | None = None,
     ) -> None:
-        """rate_hz: None takes 8 kHz, or what the device has that is nearest. peak, slew: counts that the device itself
-        shall not exceed. versions: of the protocol, lowest and highest. answer_s: longest to wait for a device that has
-        just been plugged in."""
+        """rate_hz: what is asked for; of what the device has, the nearest is taken. None asks for 8 kHz. peak, slew:
+        counts that the device itself shall not exceed. versions: of the protocol, lowest and highest. answer_s: longest
+        to wait for a device that has just been plugged in. clock: seconds, also while the computer sleeps."""
         if not 1 <= channels <= 255:
             raise UsageError(f"a serial device has 1 to 255 channels, not {channels}.")
         self._port, self._baudrate, self._wanted_hz, self._channels = port, baudrate, rate_hz, channels
@@ -247,16 +247,7 @@ class SerialSink:
                 where=self._port,
                 remedy=f"Play at most {caps.channels} channels.",
             )
-        wanted = self._wanted_hz
-        if wanted is None:
-            return min(max(DEFAULT_RATE_HZ, caps.lowest_hz), caps.highest_hz)
-        if not caps.lowest_hz <= wanted <= caps.highest_hz:
-            raise DeviceError(
-                f"the device plays from {caps.lowest_hz} to {caps.highest_hz} Hz, not at {wanted} Hz.",
-                where=self._port,
-                remedy="Leave the rate to the device.",
-            )
-        return wanted
+        return min(max(self._wanted_hz or DEFAULT_RATE_HZ, caps.lowest_hz), caps.highest_hz)
 
     def _start(self, caps: Caps) -> int:
         """START, until the first CREDIT of the session. Returns the frames that the device owes at most."""

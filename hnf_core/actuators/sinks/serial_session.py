@@ -10,7 +10,7 @@ from ..protocol.messages import NO_TEMPERATURE, Caps, Code, Credit, Error, Messa
 from ..sink import SinkStatus
 from .rate_watch import RateWatch
 
-ANSWER_S = 0.1
+ANSWER_S = 0.25
 """A device that plays sends a CREDIT every 2 ms; after so long without one it is not there any more."""
 
 AWAKE_S = 0.04
@@ -18,6 +18,10 @@ AWAKE_S = 0.04
 
 STUCK_S = 0.25
 """Longest that a device may have frames and play none."""
+
+NOISE_S = 1.0
+NOISE = 0.5
+"""Share of the frames of so long that may get lost; with more, what is felt is no longer what was sent."""
 
 HARMLESS = frozenset({Code.OVERRUN, Code.MALFORMED})
 """Errors of single messages, damaged on the wire: counted, the stream goes on."""
@@ -49,6 +53,7 @@ class Session:
     damaged: int = 0
     errors: int = 0
     _watch: RateWatch = field(default_factory=lambda: RateWatch(1.0))
+    _lost: tuple[float, int, int] = (0.0, 0, 0)
     _looked_s: float = 0.0
     _unheard_s: float = 0.0
     _unmoved_s: float = 0.0
@@ -59,6 +64,7 @@ class Session:
         self.earlier, self.played = self.earlier + self.played, 0
         self._watch = RateWatch(rate_hz)
         self._looked_s, self._unheard_s, self._unmoved_s = now_s, 0.0, 0.0
+        self._lost = (now_s, 0 if self.status is None else self.status.lost, 0)
 
     def end(self) -> None:
         """A STOP is sent: whatever comes is history."""
@@ -92,6 +98,7 @@ class Session:
         for message in messages:
             if isinstance(message, Status):
                 self.status = message
+                self._noisy(message.lost, now_s)
             elif isinstance(message, Error):
                 self._refused(message)
             elif isinstance(message, Caps):
@@ -161,6 +168,16 @@ class Session:
             )
         if last.state is State.FAULT:
             self.fail(self._words(), RESTART)
+
+    def _noisy(self, lost: int, now_s: float) -> None:
+        since_s, before, played = self._lost
+        if self.number is None or now_s - since_s < NOISE_S:
+            return
+        if lost - before > NOISE * max(1, self.played - played):
+            self.fail(
+                "most of what is sent is damaged on the way.", "Use a shorter or shielded cable, or a lower rate."
+            )
+        self._lost = (now_s, lost, self.played)
 
     def _refused(self, message: Error) -> None:
         self.refusal = message
