@@ -43,6 +43,7 @@ PRESSING_DELAY_STATES = 2
 """The same for what pressing alone gives."""
 _SHARE = np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE
 _FADE_STATES = round(AFTER_CONTACT_S * ACTION_RATE_HZ) - 1
+_TAPS = np.arange(4)[:, None, None]
 _HERMITE = np.stack(
     [
         2 * _SHARE**3 - 3 * _SHARE**2 + 1,
@@ -182,8 +183,8 @@ class LiveSynthesis:
         for row, octave in enumerate(active):
             chain, span = noise.octaves[octave], slice(offset[row], offset[row + 1])
             mixed[:, span] = chain.mixed(pair[:, octave], int(low[row]), int(high[row] - low[row]))
-        taps = np.arange(4)[:, None, None] + (offset[:-1, None] + cell - 1 - low[:, None])
-        here, after = (mixed[:, taps] * np.stack(lagrange(t))).sum(axis=(1, 2))
+        taps = _TAPS + (offset[:-1, None] + cell - 1 - low[:, None])
+        here, after = (mixed.take(taps, axis=1) * np.stack(lagrange(t))).reshape(2, -1, SAMPLES_PER_STATE).sum(axis=1)
         return np.asarray(here * (1.0 - _SHARE) + after * _SHARE)
 
     def _path(self) -> Float:

@@ -33,6 +33,7 @@ Float = NDArray[np.float64]
 Single = NDArray[np.float32]
 
 _START, _SHIFT = np.asarray(START_LOG)[:, None, None], np.asarray(SHIFTS)[:, None, None]
+_PLACES = _SHIFT + np.arange(2)[:, None]
 _BANDS, _WIDTH = len(BAND_WAVELENGTHS_M), len(BAND_FEATURES)
 _MOMENTS_AT = np.concatenate([np.arange(_BANDS) * _WIDTH + BAND_FEATURES.index(name) for name in ("cos2", "cos4")])
 _FOLDS = np.repeat([2.0, 4.0], _BANDS)
@@ -50,13 +51,14 @@ class LiveEmission:
             raise UsageError("this field has no arc-length carriers to be felt live with.", remedy="Use another field.")
         self._config, self._carriers, self._kappa = config, carriers, carriers.arc_centres()
         weights = field.parameters
-        self._layers = [
-            (weights[f"layer{index}.weight"], weights[f"layer{index}.bias"]) for index in range(config.layers)
-        ]
-        self._alpha, self._sigma = ((weights[f"{head}.weight"], weights[f"{head}.bias"]) for head in ("alpha", "sigma"))
-        self._expansion = config.expansion()
+        # Summed by einsum: BLAS would set threads to so small a product, and wait for them.
+        self._layers = [_transposed(field, f"layer{index}") for index in range(config.layers)]
+        self._alpha, self._sigma = _transposed(field, "alpha"), _transposed(field, "sigma")
+        expansion = config.expansion()
+        self._expansion = None if expansion is None else expansion.astype(np.float64)
+        self._prior = np.zeros(carriers.count)
         self._token = np.array(token, dtype=np.float64)[None]
-        self._x = np.zeros(self._layers[0][0].shape[1], dtype=np.float32)
+        self._x = np.zeros(len(self._layers[0][0]), dtype=np.float32)
         self._x[:MECHANICS_AT] = normalised_tokens(self._token)[0]
         # normalised_tokens leaves moments of direction as they are, so that turning them here is features.seen_from.
         self._moments = self._token[0, _MOMENTS_AT] + 1j * self._token[0, _MOMENTS_AT + 1]
@@ -77,11 +79,13 @@ class LiveEmission:
         time_power = None if linear is None else self._time.of(linear.power, pace)
         hidden = self._input(direction, angle, pace, load, linear, time_power)
         for weight, bias in self._layers:
-            hidden = np.maximum(weight @ hidden + bias, 0.0)
-        sigma = np.logaddexp(0.0, (self._sigma[0] @ hidden + self._sigma[1]).astype(np.float64))
+            hidden = np.maximum(_product(weight, hidden) + bias, 0.0)
+        sigma = np.logaddexp(0.0, (_product(self._sigma[0], hidden) + self._sigma[1]).astype(np.float64))
         if moving == 0.0:
             return np.zeros(carriers.count), sigma
-        alpha = self._emitted((self._alpha[0] @ hidden + self._alpha[1]).astype(np.float64), linear, time_power)
+        alpha = self._emitted(
+            (_product(self._alpha[0], hidden) + self._alpha[1]).astype(np.float64), linear, time_power
+        )
         alpha *= moving
         if carriers.arc_count:
             gain = arc_gain(self._kappa, np.array([pace]))[0] if linear is None else linear.gain
@@ -131,7 +135,7 @@ class LiveEmission:
             first = carriers.arc_slice.start
             alpha = np.concatenate([alpha[:first], self._expansion @ alpha[first:]])
         if linear is not None and time_power is not None:
-            prior = np.zeros(carriers.count)
+            prior = self._prior
             prior[carriers.time_slice] = _log_amplitude(time_power * 10.0 ** (TIME_SHARE_DB / 10.0))
             prior[carriers.arc_slice] = _log_amplitude(linear.noise if gains is not None else linear.power)
             alpha = alpha + self._skip * prior
@@ -143,14 +147,23 @@ class LiveEmission:
         return np.asarray(alpha)
 
 
+def _transposed(field: Field, name: str) -> tuple[Single, Single]:
+    """Weights (inputs, outputs) and bias of a layer."""
+    return np.ascontiguousarray(field.parameters[f"{name}.weight"].T), field.parameters[f"{name}.bias"]
+
+
+def _product(weight: Single, hidden: Single) -> Single:
+    return np.asarray(np.einsum("ji,j->i", weight, hidden))
+
+
 def _ringing(gains: Float, linear: LinearState, count: int) -> Float:
     """lines.line_power of one state: (count,)."""
     level = 0.5 * np.log(linear.lines + QUIET_LINE_M_S2**2)
     gain = gains.reshape(len(HARMONICS), 1, LINES) + _START
     power = np.exp(2.0 * np.minimum(gain + level, LOG_AMPLITUDE_CEILING))
-    place = linear.low + np.arange(2)[:, None] + _SHIFT
-    inside = (place >= 0) & (place < count)
-    return np.asarray(np.bincount(place[inside], power[inside], count), dtype=np.float64)
+    # Everything outside falls into one bin at either end.
+    place = np.minimum(np.maximum(linear.low + _PLACES, -1), count) + 1
+    return np.asarray(np.bincount(place.ravel(), power.ravel(), count + 2)[1:-1], dtype=np.float64)
 
 
 def _log_amplitude(power: Float) -> Float:

@@ -16,6 +16,8 @@ from .live_texture import LiveTexture
 
 Float = NDArray[np.float64]
 
+_TAPS = np.arange(2)[:, None]
+
 
 @dataclass(frozen=True)
 class LinearState:
@@ -40,6 +42,7 @@ class LiveLinear:
         self._wave = np.square(2.0 * np.pi * self._kappa)
         self._known, self._probe = with_defaults(mechanics), probe
         self._surface = surface_stiffness_at_1n(mechanics, probe)
+        self._weight = np.empty((3, len(self._kappa)))
 
     def at(self, angle: float, speed: float, force: float) -> LinearState:
         """angle: radians; speed, force: m/s and N, not below their floors."""
@@ -50,19 +53,22 @@ class LiveLinear:
         radius = min(math.sqrt(1.5 * force * tip / (stiffness if probe.soft_tip else surface)), tip)
         # The squares of tip_response at κ and at half of it, by which the bearing spots are smaller.
         reach = wave * radius**2
-        passed, leaned = np.exp(-reach / 5.0), np.exp(-reach / 20.0)
+        passed, bent, leaned = weight = self._weight
+        np.exp(reach * (-1.0 / 5.0), out=passed)
+        np.exp(reach * (-1.0 / 20.0), out=leaned)
+        np.multiply(leaned, wave, out=bent)
         gain = arc_gain(self._kappa, np.array([speed]))[0]
         up, aside = self._responses(speed, force, stiffness)
         fade = np.square(gain)
         up, aside = up * fade, aside * fade
-        cut = self._texture.cut(angle, np.stack([passed, leaned * wave, leaned]))
+        cut = self._texture.cut(angle, weight)
         rubbed = 1.0 + self._known.friction**2
         flank = (1.0 + FLANK_FRICTION * (1.0 - radius / tip) ** 2) ** 2 - 1.0
         met = cut.noise[0] * up
         noise = met * rubbed + (cut.noise[1] + flank * wave * cut.noise[2]) * aside
         count = len(wave)
-        where = cut.low + np.arange(2)[:, None]
-        at = np.clip(where, 0, count - 1)
+        where = cut.low + _TAPS
+        at = np.minimum(np.maximum(where, 0), count - 1)
         tone = cut.lines[0] * up[at]
         lines = tone * rubbed + (cut.lines[1] + flank * wave[at] * cut.lines[2]) * aside[at]
         inside = where == at
@@ -93,7 +99,8 @@ class TimeShare:
     def of(self, power: Float, speed: float) -> Float:
         """(Ka,) power per arc band at a speed not below its floor → (Kt,) per time band."""
         np.cumsum(power, out=self._sum[1:])
-        place = np.clip(self._edges - ARC_PER_OCTAVE * math.log2(speed), 0.0, len(power))
+        place = np.minimum(np.maximum(self._edges - ARC_PER_OCTAVE * math.log2(speed), 0.0), len(power))
         low = np.minimum(place.astype(int), len(power) - 1)
         start = self._sum[low]
-        return np.asarray(np.diff(start + (place - low) * (self._sum[low + 1] - start)))
+        edges = start + (place - low) * (self._sum[low + 1] - start)
+        return np.asarray(edges[1:] - edges[:-1])

@@ -19,6 +19,7 @@ Float = NDArray[np.float64]
 _HALF = ANGLES // 2
 _ANGLE = ((np.arange(ANGLES) + 0.5) * np.pi / ANGLES)[:, None]
 _TWO, _FOUR = np.exp(-2j * _ANGLE) * (4.0 / 3.0), np.exp(-4j * _ANGLE) * (2.0 / 3.0)
+_FOLDS = np.array([[-2j], [-4j]])
 _CONCENTRATION = 20.0
 """linear_texture's own; a test holds the two ways equal."""
 _BUMP_MEAN = float(np.mean(np.exp(_CONCENTRATION * (np.cos(2.0 * _ANGLE) - 1.0))))
@@ -41,8 +42,7 @@ class LiveTexture:
         bands, count = len(BAND_WAVELENGTHS_M), carriers.arc_count
         values = np.asarray(token, dtype=np.float64)[: bands * len(BAND_FEATURES)].reshape(bands, len(BAND_FEATURES))
         feature = dict(zip(BAND_FEATURES, values.T, strict=True))
-        self._two = feature["cos2"] + 1j * feature["sin2"]
-        self._four = feature["cos4"] + 1j * feature["sin4"]
+        self._moments = np.stack([feature["cos2"] + 1j * feature["sin2"], feature["cos4"] + 1j * feature["sin4"]])
         self._peak, self._power = feature["peak"].copy(), 10.0 ** (2.0 * feature["level"])
         still = texture_of(np.asarray(token)[None], np.array([[1.0, 0.0]]), carriers)
         self._octaves = ARC_PER_OCTAVE * np.log2(np.tile(still.line_wavenumber[0], 2) / carriers.arc_centres()[0])
@@ -54,20 +54,24 @@ class LiveTexture:
         source = np.arange(count)[None, :] + shift[:, None]
         self._source = np.where(source < count, source, count)
         self._density_at = (np.arange(_HALF) * bands)[:, None] + np.append(still.band, 0)[self._source]
-        self._weighted = np.zeros((3, count + 1))
+        self._weighted, self._moved = np.zeros((3, count + 1)), np.empty((3, *self._source.shape))
 
     def cut(self, angle: float, weight: Float) -> Cut:
         """angle: of the stroke, radians. weight: (3, Ka), what of a wave of each |κ| counts in three cuts."""
-        two, four = self._two * np.exp(-2j * angle), self._four * np.exp(-4j * angle)
-        axis = 0.25 * np.angle(four)
-        along = np.clip(0.5 * (1.0 + np.real(two * np.exp(-2j * axis))), 0.0, 1.0)
-        across = 1.0 - along
-        stronger = np.maximum(along, across)
-        tones = np.stack([self._peak * along / stronger, self._peak * across / stronger])
-        tones = np.clip(tones / np.maximum(tones.sum(axis=0), 1.0), 0.0, 1.0)
+        two, four = self._moments * np.exp(angle * _FOLDS)
+        axis = 0.25 * np.arctan2(four.imag, four.real)
+        # From here in the reference's own order: where tones take all, the last bit decides what is left for the noise.
+        along = 0.5 * (1.0 + (two * np.exp(-2j * axis)).real)
+        along = np.minimum(np.maximum(along, 0.0), 1.0)
+        split = np.stack([along, 1.0 - along])
+        tones = self._peak * split / split.max(axis=0)
+        tones /= np.maximum(tones.sum(axis=0), 1.0)
+        tones = np.minimum(np.maximum(tones, 0.0), 1.0)
         density = self._density(two, four, axis, along)
-        self._weighted[:, :-1] = self._radial(self._power * np.clip(1.0 - tones.sum(axis=0), 0.0, 1.0)) * weight
-        noise = np.einsum("waj,aj->wj", self._weighted[:, self._source], density.ravel()[self._density_at])
+        left = np.minimum(np.maximum(1.0 - tones.sum(axis=0), 0.0), 1.0)
+        np.multiply(weight, self._radial(self._power * left), out=self._weighted[:, :-1])
+        np.take(self._weighted, self._source, axis=1, out=self._moved, mode="clip")
+        noise = np.einsum("waj,aj->wj", self._moved, density.take(self._density_at))
         power = (weight[:, None, self._line_at] * (self._power * tones)).reshape(3, -1)
         cosine = np.abs(np.concatenate([np.cos(axis), np.sin(axis)]))
         # The same floor as the reference's 1e-9 cycles/m: a wave along the stroke is met by nobody.
@@ -83,8 +87,8 @@ class LiveTexture:
 
     def _density(self, two: NDArray[np.complex128], four: NDArray[np.complex128], axis: Float, along: Float) -> Float:
         """(ANGLES / 2, bands): angular density at δ and at π − δ, added, since both move the spectrum alike."""
-        oriented = np.square(np.clip(np.abs(four), 0.0, 1.0))
-        series = 1.0 + np.real(two * _TWO) + np.real(four * _FOUR)
+        oriented = np.minimum(np.square(four.real) + np.square(four.imag), 1.0)
+        series = 1.0 + two.real * _TWO.real - two.imag * _TWO.imag + four.real * _FOUR.real - four.imag * _FOUR.imag
         turned = np.cos(2.0 * (_ANGLE - axis))
         line = along * np.exp(_CONCENTRATION * (turned - 1.0)) + (1.0 - along) * np.exp(
             -_CONCENTRATION * (turned + 1.0)
