@@ -1,0 +1,205 @@
+"""`hnf stream`, run as a person does."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+import time
+import wave
+from pathlib import Path
+
+import numpy as np
+import pytest
+from osc_receiver import receiver
+
+from hnf_core.actuators.chain import counts_of
+from hnf_core.actuators.profile import GENERIC
+from hnf_core.actuators.report import StreamReport
+from hnf_core.actuators.sink import SinkFormat
+from hnf_core.actuators.sources.recorded import Recorded
+from hnf_core.cli.level_meter import LevelMeter, meter_line
+from hnf_core.cli.main import main
+from hnf_core.export.wav import write_wav
+from hnf_core.signal import Signal
+
+ROOT = Path(__file__).resolve().parents[2]
+HNF = [sys.executable, "-c", "import sys; from hnf_core.cli.main import main; sys.exit(main(sys.argv[1:], None))"]
+FULL = GENERIC.limits.full_scale_m_s2
+
+
+def hnf(*words: object) -> int:
+    return main(["stream", *map(str, words)], lambda _: 0)
+
+
+def stored(path: Path) -> np.ndarray:
+    with wave.open(str(path)) as file:
+        return np.frombuffer(file.readframes(file.getnframes()), "<i2")
+
+
+@pytest.fixture
+def noise(tmp_path: Path) -> Path:
+    """Two seconds of 6 m/s² RMS at 10 kHz."""
+    samples = np.random.default_rng(4).normal(0.0, 6.0, 20_000).astype(np.float32)
+    write_wav(tmp_path / "noise.wav", Signal(samples, 10_000.0, 4))
+    return tmp_path / "noise.wav"
+
+
+def test_a_file_gets_what_the_chain_makes_and_the_report_is_json(
+    noise: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.wav"
+    assert hnf(noise, "--to", f"file:{out}", "--gain", 3, "--json") == 0
+    report = json.loads(capsys.readouterr().out)
+    assert {"blocks", "underruns", "compute_p99_ms", "peak", "limited_samples"} <= set(report)
+    assert (report["target"], report["profile"], report["problem"]) == (f"file:{out}", GENERIC.name, "")
+    samples = np.random.default_rng(4).normal(0.0, 6.0, 20_000).astype(np.float32)[:, None]
+    source = Recorded(samples * np.float32(10.0 ** (3 / 20)), 10_000.0)
+    expected = counts_of(source, SinkFormat(10_000.0, 1, 1000, ""), GENERIC.limits)
+    assert (stored(out) == expected[:, 0]).all()
+    assert report["peak"] == pytest.approx(np.abs(expected).max() / 32767)
+    assert report["limited_samples"] > 0
+
+
+def test_it_says_what_will_happen_and_warns_of_what_is_too_loud(
+    noise: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert hnf(noise, "--to", f"file:{tmp_path / 'out.wav'}", "--gain", 12) == 0
+    told = capsys.readouterr()
+    first, second, last = told.out.splitlines()
+    assert "2.00 s at 10000 Hz, in m/s²" in first
+    assert "gain 12 dB; at most 30 m/s² (Generic voice coil)" in second
+    assert re.search(
+        r"2\.00 s played: \d+ blocks, 0 underruns.*peak \d+% of full scale, [1-9]\d* samples limited", last
+    )
+    warning = re.search(r"is more than the 30 m/s².*of the samples are limited\. --gain (-?[\d.]+) fits", told.err)
+    assert warning is not None
+    assert hnf(noise, "--to", f"file:{tmp_path / 'out.wav'}", "--gain", warning[1]) == 0
+    assert "is more than" not in capsys.readouterr().err
+
+
+def test_seconds_end_a_loop_and_a_file(noise: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.wav"
+    for words, seconds in ((("--loop", "--seconds", 5), 5.0), (("--seconds", 0.5), 0.5), (("--seconds", 9), 2.0)):
+        assert hnf(noise, "--to", f"file:{out}", *words) == 0
+        assert len(stored(out)) == pytest.approx(seconds * 10_000, abs=60)
+        assert stored(out)[:10_000:100].any()
+
+
+def test_a_wav_without_a_unit_plays_its_full_scale(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with wave.open(str(tmp_path / "a.wav"), "wb") as file:
+        file.setparams((1, 2, 8000, 0, "NONE", ""))
+        file.writeframes((np.sin(np.arange(8000) / 20.0) * 16384).astype("<i2").tobytes())
+    assert hnf(tmp_path / "a.wav", "--to", f"file:{tmp_path / 'out.wav'}", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["peak"] == pytest.approx(0.5, abs=0.001)
+    assert hnf(tmp_path / "a.wav", "--to", f"file:{tmp_path / 'out.wav'}") == 0
+    assert "without a unit: its 1.0 is played as 30 m/s², full scale" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("--to", "nowhere"), 2, "no place to stream to"),
+        (("--to", "virtual", "--gain", "900"), 2, "gain of 900"),
+        (("--to", "virtual", "--gain", "nan"), 2, "gain of nan"),
+        (("--to", "virtual", "--seconds", "0"), 2, "no time to play"),
+        (("--to", "virtual", "--seconds", "nan"), 2, "no time to play"),
+        (("--to", "virtual", "--block", "0"), 2, "blocks of 0 ms"),
+        (("--to", "virtual", "--profile", "none"), 2, "no actuator 'none'"),
+        (("--to", "virtual", "--profile", "none.json"), 1, "none.json: cannot be read"),
+        (("--to", "file:x.wav", "--loop"), 2, "never ends"),
+        (("--to", "serial:/dev/no-such-port"), 1, "/dev/no-such-port"),
+        (("--to", "osc:no.such.host.invalid:9"), 1, "cannot be reached"),
+        ((), 2, "--to"),
+    ],
+)
+def test_what_does_not_work_is_one_line(
+    noise: Path, words: tuple[str, ...], code: int, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert hnf(noise, *words) == code
+    told = capsys.readouterr()
+    assert said in told.err
+    assert len([line for line in told.err.splitlines() if line.startswith("hnf: ")]) == (1 if words else 0)
+
+
+def test_a_missing_file_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert hnf(tmp_path / "no.wav", "--to", "virtual") == 1
+    assert "no.wav: cannot be read" in capsys.readouterr().err
+
+
+def test_the_virtual_actuator_plays(noise: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("serial", reason="pyserial is not installed")
+    hnf(noise, "--to", "virtual", "--seconds", "0.3", "--block", "20", "--json")
+    report = json.loads(capsys.readouterr().out)
+    assert report["device"] == "virtual actuator"
+    assert report["frames"] > 0
+    assert 0.0 < report["peak"] <= 1.0
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_stops_softly_and_reports(noise: Path, how: signal.Signals) -> None:
+    pytest.importorskip("pythonosc", reason="python-osc is not installed")
+    with receiver() as ear:
+        words = [*HNF, "stream", str(noise), "--to", ear.target, "--loop", "--json"]
+        with subprocess.Popen(words, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+            ear.wait_for(10, "/hnf/1/amplitude", 30.0)
+            process.send_signal(how)
+            out, error = process.communicate(timeout=20)
+        assert process.returncode == 0, error
+        assert error == ""
+        report = json.loads(out)
+        assert report["state"] == "ended"
+        assert report["frames"] > 0
+        ear.settled()
+        assert ear.values("/hnf/1/amplitude")[-1] == 0.0
+
+
+def test_the_meter_redraws_one_line_on_a_terminal(noise: Path) -> None:
+    pytest.importorskip("pythonosc", reason="python-osc is not installed")
+    ours, theirs = pty.openpty()
+    with receiver() as ear:
+        words = [*HNF, "stream", str(noise), "--to", ear.target, "--seconds", "0.4"]
+        with subprocess.Popen(words, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=theirs) as process:
+            os.close(theirs)
+            said = b""
+            while True:
+                try:
+                    said += os.read(ours, 4096)
+                except OSError:  # the other end is closed
+                    break
+            assert process.wait(20) == 0
+    os.close(ours)
+    lines = said.decode().split("\r\x1b[K")
+    assert len(lines) > 3
+    assert "\n" not in said.decode()
+    assert lines[-1] == ""
+    assert re.search(r"of 0\.4 s  [█·]{24} .* m/s²  underruns \d+  limited \d+", lines[-2])
+
+
+def test_a_meter_shows_the_level_against_the_limit() -> None:
+    def bar(level: float) -> str:
+        return meter_line(StreamReport(level_m_s2=level, underruns=3, limited_samples=7), 30.0, None)
+
+    assert "█" * 24 + "    0 dB  30.00 m/s²  underruns 3  limited 7" in bar(30.0)
+    assert "█" * 16 + "·" * 8 + "  -20 dB   3.00 m/s²" in bar(3.0)
+    assert "·" * 24 + "  silent   0.00 m/s²" in bar(0.0)
+    assert "·" * 24 + "  silent" in bar(1e-9)
+    assert len(bar(1e9)) < 110
+
+
+def test_elsewhere_the_meter_is_plain(tmp_path: Path) -> None:
+    with (tmp_path / "log").open("w+") as log:
+        meter = LevelMeter(30.0, 10.0, log)
+        meter.show(StreamReport())
+        meter._next_s = time.monotonic()
+        meter.show(StreamReport(played_s=5.0))
+        meter.close()
+        log.seek(0)
+        lines = log.read().splitlines()
+    assert len(lines) == 1
+    assert "5.0 of 10.0 s" in lines[0]
+    assert "\x1b" not in lines[0]
