@@ -36,7 +36,7 @@ class VertexTable:
 
 
 def vertex_table(surface: TouchedSurface) -> VertexTable:
-    """Corners that agree in everything become one vertex; they are in the order of the bytes of what they are."""
+    """Corners that agree in everything become one vertex, in the order of the triangles."""
     mesh = surface.mesh
     count = len(mesh.triangles)
     normal = _unit(mesh.normals.reshape(-1, 3) @ Y_UP.T)
@@ -47,9 +47,7 @@ def vertex_table(surface: TouchedSurface) -> VertexTable:
     # Large meshes have more vertices than float32 counts, so their number goes beside it, bit for bit.
     rows = np.ascontiguousarray(np.concatenate(columns, axis=1), dtype=np.float32) + np.float32(0.0)
     rows[:, 0] = mesh.triangles.reshape(-1).astype(np.int32).view(np.float32)
-    _, first, inverse = np.unique(
-        rows.view(np.dtype((np.void, rows.strides[0]))).reshape(-1), return_index=True, return_inverse=True
-    )
+    first, inverse = distinct_rows(rows)
     kept, vertex = rows[first], mesh.triangles.reshape(-1)[first]
     uv = None
     if mesh.uv is not None:
@@ -65,6 +63,17 @@ def vertex_table(surface: TouchedSurface) -> VertexTable:
         vertex=vertex.astype(np.float32),
         corner=inverse.reshape(count, 3).astype(np.uint32),
     )
+
+
+def distinct_rows(rows: Float32) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(first row of each kind, in the order of the rows; kind of each row). Equal means equal bits."""
+    rows = np.ascontiguousarray(rows)
+    whole = rows.view(np.dtype((np.void, rows.strides[0]))).reshape(-1)
+    _, first, inverse = np.unique(whole, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order))
+    return first[order], rank[inverse.reshape(-1)]
 
 
 def vertices_under(surface: TouchedSurface, table: VertexTable) -> NDArray[np.int32]:
