@@ -150,6 +150,12 @@ def test_stop_drops_and_drain_does_not(check: Check) -> None:
     assert drained.status().underruns == 0
 
 
+def test_silence_now_is_not_taken_back(check: Check) -> None:
+    device = playing(check)
+    device.send(Stop(), Stop(True))
+    assert np.count_nonzero(device.tick(200).any(axis=1)) < RAMP
+
+
 def test_stop_again_is_answered_so_that_its_answer_may_be_lost(check: Check) -> None:
     device = playing(check)
     device.send(Stop(True))
@@ -253,6 +259,9 @@ def test_damage_is_counted(check: Check) -> None:
     bad[6] ^= 1
     device.feed(bytes(bad))
     assert device.status().crc_errors == 1
+    device.tick(300)
+    device.send(Hello())
+    assert device.status().crc_errors == 0
 
 
 def test_half_a_message_does_not_hide_the_next_host(check: Check) -> None:
