@@ -24,6 +24,7 @@ import numpy as np
 from ..errors import HnfError, UsageError
 from ..field.live_material import synthesis_for_material
 from .acceleration import factor, read_acceleration
+from .compensation import stages_of
 from .player_messages import (
     VERSION,
     Began,
@@ -190,14 +191,17 @@ class Player:
         ahead: int = 1,
         endless: bool = True,
     ) -> None:
-        limits, target = profile_in(where).limits, parse_target(where.target)
+        profile, target = profile_in(where), parse_target(where.target)
+        limits = profile.limits
         if isinstance(target, FileTarget) and endless:
             raise UsageError("what never ends cannot be played into a file.", remedy="Play it once.")
         sink = sink_of(target, source.rate_hz, limits)
-        stream = Stream(source, sink, limits, block_s=block_s, ahead_blocks=ahead)
+        stages = stages_of(profile, source.rate_hz, source.channels)
+        stream = Stream(source, sink, limits, block_s=block_s, ahead_blocks=ahead, stages=stages)
         self.stop()
         device = stream.start()
-        said = f"{note}; at most {limits.peak * limits.full_scale_m_s2:g} m/s²"
+        made_up = ", its response made up for" if stages else ""
+        said = f"{note}; at most {limits.peak * limits.full_scale_m_s2:g} m/s² ({profile.title}){made_up}"
         self._went_on(Playing(play, stream, source, device, where, gain, ahead * block_s, said))
 
     def _went_on(self, playing: Playing) -> None:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 import wave
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,9 @@ import pytest
 from osc_receiver import Receiver, receiver
 from player_process import ROOT, player
 
+from hnf_core.actuators.acceleration import read_acceleration
 from hnf_core.actuators.chain import counts_of
+from hnf_core.actuators.compensation import stages_of
 from hnf_core.actuators.limits import COUNTS
 from hnf_core.actuators.player_messages import (
     VERSION,
@@ -37,6 +40,8 @@ from hnf_core.actuators.player_messages import (
     encode,
 )
 from hnf_core.actuators.profile import GENERIC, own_profile
+from hnf_core.actuators.profile_file import read_profile, write_profile
+from hnf_core.actuators.response import of_gains
 from hnf_core.actuators.sink import SinkFormat
 from hnf_core.actuators.sources.recorded import Recorded
 from hnf_core.export.wav import write_wav
@@ -94,6 +99,27 @@ def test_a_file_is_played_as_its_chain_makes_it(tmp_path: Path) -> None:
 
 def rng_again() -> np.ndarray:
     return np.random.default_rng(5).normal(0, 5, 9000).astype(np.float32)[:, None]
+
+
+def test_a_measured_response_is_made_up_for(tmp_path: Path) -> None:
+    """Only that the profile's inverse filter is in the way; what it does is told by its own tests."""
+    frequency = np.geomspace(20.0, 1000.0, 50)
+    measured = replace(GENERIC, name="mine", response=of_gains(frequency, 1.0 / (1.0 + 1j * frequency / 100.0)))
+    write_profile(tmp_path / "mine.json", measured)
+    one, out = wav(tmp_path / "one.wav", 0.1, seconds=0.5, hz=400.0), tmp_path / "out.wav"
+    with player() as it:
+        it.say(Play(1, one, Where(f"file:{out}", str(tmp_path / "mine.json"))))
+        began = it.wait_for(lambda each: isinstance(each, Began))
+        assert it.status(1, "ended").problem == ""
+    assert isinstance(began, Began)
+    assert "its response made up for" in began.note
+    profile = read_profile(tmp_path / "mine.json")
+    source = Recorded(read_acceleration(Path(one), profile.limits).samples, 10_000.0)
+    stages = stages_of(profile, 10_000.0, 1)
+    expected = counts_of(source, SinkFormat(10_000.0, 1, 1000, ""), profile.limits, stages)
+    with wave.open(str(out)) as file:
+        assert (np.frombuffer(file.readframes(file.getnframes()), "<i2") == expected[:, 0]).all()
+    assert np.abs(expected).max() > 2.0 * 0.1 * COUNTS
 
 
 def test_pause_seek_gain_swap_loop_and_stop_are_heard(tmp_path: Path) -> None:
