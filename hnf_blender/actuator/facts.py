@@ -42,7 +42,7 @@ def lines_of(link: Link) -> tuple[str, ...]:
         return ()
     status, lines = heard.status, []
     if began is not None and began.play == status.play:
-        said = tr("{device}, {rate} Hz, owes {queue} ms at most")
+        said = tr("{device}: {rate} Hz, up to {queue} ms late")
         lines.append(said.format(device=began.device, rate=f"{began.rate_hz:g}", queue=f"{began.queue_ms:.0f}"))
     lines.append(tr("Highest so far: {share} of full scale").format(share=f"{status.peak:.0%}"))
     if status.temperature_c is not None:

@@ -9,7 +9,7 @@ import bpy
 from hnf_core.errors import HnfError
 
 from ..actuator.choice import choose_output, chosen_output, plays_whole, title_of
-from ..actuator.state import SPEAKERS
+from ..actuator.state import ACTUATOR, SPEAKERS
 from ..props.scene import actuator_of
 from ..state.redraw import redraw_tab
 from ..translations import tr
@@ -48,6 +48,7 @@ class HNF_OT_output_choose(bpy.types.Operator):  # type: ignore[misc]  # noqa: N
             current.stop()
             LINK.release()
             choose_output(str(self.target))
+            ACTUATOR.missing = ()  # what was not found is not wanted any more
         redraw_tab()
         return {"FINISHED"}
 
