@@ -217,7 +217,7 @@ class SerialSink:
             if waited >= self._answer_s:
                 raise self._nobody()
             if busy:
-                self._changed.wait_for(lambda: False, HELLO_BUSY_S)
+                self._let_pass(HELLO_BUSY_S)
 
     def _answered(self) -> bool:
         session = self._session
@@ -263,7 +263,7 @@ class SerialSink:
                 raise self._failed("the device does not start.", RESTART)
             if session.refused(Code.BUSY):  # what was stopped still fades; it says so once only
                 patience_s = START_BUSY_S
-                self._changed.wait_for(lambda: False, START_BUSY_S)
+                self._let_pass(START_BUSY_S)
         credit = session.credit
         if credit.queue > longest:
             raise self._failed(
@@ -275,6 +275,10 @@ class SerialSink:
     def _started(self) -> bool:
         session = self._session
         return session.credit is not None or session.refusal is not None or session.problem is not None
+
+    def _let_pass(self, seconds: float) -> None:
+        """Sleep, while the reader goes on."""
+        self._changed.wait_for(lambda: False, seconds)
 
     @property
     def _caps(self) -> Caps:

@@ -26,6 +26,8 @@ NOISE = 0.5
 HARMLESS = frozenset({Code.OVERRUN, Code.MALFORMED})
 """Errors of single messages, damaged on the wire: counted, the stream goes on."""
 
+RESTART = "Check its power and its cable, then start again."
+
 SOMEBODY_ELSE = frozenset({Code.BUSY, Code.SESSION})
 """Answers to what we did not send."""
 
@@ -127,19 +129,12 @@ class Session:
         self.problem = self.problem or DeviceError(what, where=self.port, remedy=remedy)
 
     def told(self) -> SinkStatus:
+        played, errors, problem = self.earlier + self.played, self.errors + self.damaged, str(self.problem or "")
         device = self.status
         if device is None:
-            return SinkStatus(
-                self.earlier + self.played, errors=self.errors + self.damaged, problem=str(self.problem or "")
-            )
+            return SinkStatus(played, 0, errors, None, problem)
         warm = None if device.temperature == NO_TEMPERATURE else device.temperature / 10.0
-        return SinkStatus(
-            self.earlier + self.played,
-            device.underruns,
-            device.crc_errors + device.lost + self.errors + self.damaged,
-            warm,
-            str(self.problem or ""),
-        )
+        return SinkStatus(played, device.underruns, device.crc_errors + device.lost + errors, warm, problem)
 
     def _credited(self, credits: Sequence[Credit], now_s: float) -> None:
         mine = [found for found in credits if found.session == self.number]
@@ -195,6 +190,3 @@ class Session:
         if said is None:
             return "the device has stopped because of a fault."
         return f"the device refuses: {said.text or f'error {said.code}.'}"
-
-
-RESTART = "Check its power and its cable, then start again."
