@@ -62,7 +62,7 @@ def rows(options: Options) -> list[Row]:
 
 
 def place(time_s: float) -> tuple[float, float]:
-    """Of the hand: figures of eight, 0 … 0.5 m/s."""
+    """Of the hand: figures of eight, 0.2 … 0.36 m/s."""
     return 0.06 * sin(5.0 * time_s), 0.02 * sin(10.0 * time_s)
 
 

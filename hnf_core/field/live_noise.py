@@ -25,6 +25,8 @@ FORESIGHT_STEPS = 100
 
 HASTE_STEPS = 8
 """Where the hand is already but nothing sounds yet: a chain that was too fast to be heard."""
+_AT_ONCE = 8
+"""Bands whose numbers are worked out together."""
 AUDIBLE_SOON = 1.5
 """Chains up to this factor above the band are made too: the hand may slow down."""
 
@@ -32,16 +34,17 @@ AUDIBLE_SOON = 1.5
 class Chain:
     """One family of noise bands, block by block; block j covers samples j·hop … j·hop + 2 hop.
 
-    edges: (B + 1,) cycles per block. seed, stream: of its numbers, see white_bins.
+    edges: (B + 1,) cycles per block. seed, stream: of its numbers, see raw_words. owed: pieces of work that should be
+    done by now. at_once: blocks that nobody had foreseen.
     """
 
     def __init__(self, seed: int, stream: int, edges: Float, size: int) -> None:
-        self._key, self._size, self.hop, self.bands = (seed, stream), size, size // 2, len(edges) - 1
-        self._starts = np.clip(np.ceil(edges).astype(int), 1, size // 2).tolist()
-        self._window = crossfade_window(size)
+        self.key, self.size, self.hop, self.bands = (seed, stream), size, size // 2, len(edges) - 1
+        self.starts = np.clip(np.ceil(edges).astype(int), 1, size // 2).tolist()
+        self.window = crossfade_window(size)
+        self.owed, self.at_once = 0.0, 0
         self._ready: dict[int, Single] = {}
-        self._making: tuple[int, Single, NDArray[np.complex128]] | None = None
-        self._made, self._owed, self.at_once = 0, 0.0, 0
+        self._making: _Making | None = None
 
     @property
     def kept(self) -> int:
@@ -61,62 +64,80 @@ class Chain:
             place += stop - start
         return out
 
-    def prepare(self, place: float, pace: float, *, turns: bool = True) -> None:
-        """A slice of the work ahead. place: sample; pace: samples per step, signed: where the hand goes. turns: it may
-        turn back."""
+    def foresee(self, place: float, pace: float, *, turns: bool = True) -> None:
+        """Owe a slice of the work ahead. place: sample; pace: samples per step, signed: where the hand goes. turns: it
+        may turn back."""
         block = int(place // self.hop)
         to_border = (block + 1) * self.hop - place if pace >= 0.0 else place - block * self.hop
         ahead, behind = (block + 1, block - 2) if pace >= 0.0 else (block - 2, block + 1)
         wanted = (block, block - 1, ahead, behind) if turns else (block, block - 1, ahead)
         missing = next((index for index in wanted if index not in self._ready), None)
         if missing is None:
+            self.owed = 0.0
             return
-        if self._making is None or self._making[0] != missing:
-            self._begin(missing)
+        if self._making is None or self._making.index != missing:
+            self._making = _Making(self, missing)
+        left = self._making.left
         share = self.bands / (FORESIGHT_STEPS if missing in (ahead, behind) else HASTE_STEPS)
         if missing == ahead:
-            share = max(share, (self.bands - self._made) / max(to_border / max(abs(pace), 1e-9) - 1.0, 1.0))
-        self._owed += share
-        bands, self._owed = int(self._owed), self._owed % 1.0
-        self._advance(bands)
+            share = max(share, left / max(to_border / max(abs(pace), 1e-9) - 1.0, 1.0))
+        self.owed = min(self.owed + share, float(left))
+
+    def work(self) -> None:
+        """One piece of what is owed."""
+        made = self._making
+        assert made is not None
+        made.go_on()
+        self.owed -= 1.0
+        if made.left == 0:
+            self._ready[made.index], self._making, self.owed = made.waves, None, 0.0
+            while len(self._ready) > KEPT_BLOCKS:
+                del self._ready[max(self._ready, key=lambda other: abs(other - made.index))]
 
     def _block(self, index: int) -> Single:
         if index not in self._ready:
-            if self._making is None or self._making[0] != index:
-                self._begin(index)
-            self._advance(self.bands)
+            if self._making is None or self._making.index != index:
+                self._making = _Making(self, index)
+            while index not in self._ready:
+                self.work()
             self.at_once += 1
         return self._ready[index]
 
-    def _begin(self, index: int) -> None:
-        white = white_bins(*self._key, index, self._size // 2 + 1, self._starts[0], self._starts[-1])
-        self._making = index, np.empty((self.bands, self._size), np.float32), white
-        self._made = 0
 
-    def _advance(self, bands: int) -> None:
-        assert self._making is not None
-        index, waves, white = self._making
-        first = self._starts[0]
-        for band in range(self._made, min(self._made + bands, self.bands)):
-            low, high = self._starts[band : band + 2]
-            spectrum = np.zeros(high, dtype=np.complex128)
-            spectrum[low:] = white[low - first : high - first] * (self._size / np.sqrt(4.0 * (high - low)))
-            np.multiply(np.fft.irfft(spectrum, self._size), self._window, out=waves[band], casting="same_kind")
-        self._made += bands
-        if self._made >= self.bands:
-            self._ready[index], self._making, self._owed = waves, None, 0.0
-            while len(self._ready) > KEPT_BLOCKS:
-                del self._ready[max(self._ready, key=lambda other: abs(other - index))]
+class _Making:
+    """A block on its way: its numbers first, then band after band. left: pieces of about as much work."""
+
+    def __init__(self, chain: Chain, index: int) -> None:
+        self.index, self.left = index, chain.bands + 1
+        self.waves = np.empty((chain.bands, chain.size), np.float32)
+        self._chain, self._raw = chain, np.zeros(0, dtype=np.uint64)
+        self._white = np.zeros(0, dtype=np.complex128)
+
+    def go_on(self) -> None:
+        chain = self._chain
+        band = chain.bands - self.left
+        self.left -= 1
+        if band < 0:
+            self._raw = raw_words(*chain.key, self.index, chain.size // 2 + 1)
+            return
+        first, low, high = (chain.starts[at] for at in (band - band % _AT_ONCE, band, band + 1))
+        if band == band - band % _AT_ONCE:
+            self._white = white_bins(self._raw, first, chain.starts[min(band + _AT_ONCE, chain.bands)])
+        spectrum = np.zeros(high, dtype=np.complex128)
+        spectrum[low:] = self._white[low - first : high - first] * (chain.size / np.sqrt(4.0 * (high - low)))
+        np.multiply(np.fft.irfft(spectrum, chain.size), chain.window, out=self.waves[band], casting="same_kind")
 
 
-def white_bins(seed: int, stream: int, block: int, bins: int, low: int, high: int) -> NDArray[np.complex128]:
-    """Bins low … high − 1 of the white spectrum that noise.band_spectra divides, without the others: (high − low,)."""
-    # As noise.normal_block, of which the first half holds real parts and the second imaginary ones, pair by pair.
+def raw_words(seed: int, stream: int, block: int, bins: int) -> NDArray[np.uint64]:
+    """(2, bins) words that noise.normal_block makes its pairs of numbers from."""
     bits = np.random.Philox(key=(seed & WORD) | ((stream & WORD) << 64), counter=(block & WORD) << 64)
-    raw = bits.random_raw(2 * bins)
-    radius, angle = (
-        ((raw[first + low : first + high] >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53 for first in (0, bins)
-    )
+    return np.asarray(bits.random_raw(2 * bins).reshape(2, bins))
+
+
+def white_bins(raw: NDArray[np.uint64], low: int, high: int) -> NDArray[np.complex128]:
+    """Bins low … high − 1 of the white spectrum that noise.band_spectra divides: (high − low,)."""
+    # normal_block's first half are a pair's cosines, here real parts, and its second half their sines.
+    radius, angle = ((raw[:, low:high] >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53
     return np.asarray(np.sqrt(-2.0 * np.log(radius)) * np.exp(2j * np.pi * angle))
 
 
@@ -133,24 +154,28 @@ class LiveNoise:
             inside = edges[first : first + ARC_PER_OCTAVE + 1] * (step * ARC_BLOCK)
             self.octaves.append(Chain(seed, ARC_STREAM + octave, inside, ARC_BLOCK))
         self._lowest = edges[:-1:ARC_PER_OCTAVE].tolist()
-        for chain in (self.time, *self.octaves):
+        self._chains = (self.time, *self.octaves)
+        for chain in self._chains:
             chain.mixed(np.zeros((1, chain.bands), np.float32), -1, 2)
             chain.at_once = 0
 
     @property
     def kept(self) -> int:
         """Blocks in memory, of all chains."""
-        return sum(chain.kept for chain in (self.time, *self.octaves))
+        return sum(chain.kept for chain in self._chains)
 
     @property
     def at_once(self) -> int:
         """Blocks that nobody had foreseen."""
-        return sum(chain.at_once for chain in (self.time, *self.octaves))
+        return sum(chain.at_once for chain in self._chains)
 
     def prepare(self, sample: int, place: float, speed: float) -> None:
-        """A step's share of the work ahead. place: s in metres; speed: ds/dt in m/s, signed."""
-        self.time.prepare(sample, SAMPLES_PER_STATE, turns=False)
+        """A step's share of the work ahead, as even as can be: whole pieces, first for the chain that is furthest
+        behind. place: s in metres; speed: ds/dt in m/s, signed."""
+        self.time.foresee(sample, SAMPLES_PER_STATE, turns=False)
         travel = speed * SAMPLES_PER_STATE / MODEL_RATE_HZ
         for chain, step, lowest in zip(self.octaves, self.steps_m.tolist(), self._lowest, strict=True):
             if lowest * abs(speed) < AUDIBLE_SOON * BAND_END_HZ:
-                chain.prepare(place / step, travel / step)
+                chain.foresee(place / step, travel / step)
+        for _ in range(int(sum(chain.owed for chain in self._chains))):
+            max(self._chains, key=lambda chain: chain.owed).work()
