@@ -96,6 +96,15 @@ def test_full_scale_is_the_largest_acceleration_of_the_actuator(folder) -> None:
     assert record["full_scale"] == 12.5
 
 
+def test_what_is_clipped_is_warned_of(folder, capfd) -> None:
+    settings = bpy.context.scene.hnf
+    settings.actuator, settings.own_peak_m_s2 = "own", 1.0
+    assert bpy.ops.hnf.export(format="wav8k") == {"FINISHED"}
+    said = capfd.readouterr().out
+    assert "Warning: along-8k.wav: Clipped" in said
+    assert "Info: along-8k.wav: level" in said
+
+
 def test_formats_on_surfaces_lie_on_the_plate(folder) -> None:
     assert ON_SURFACES == ("hjif", "glb")
     surface = export_of(stroke(), bpy.context, "glb").options.surface
