@@ -38,7 +38,7 @@ def build(program: str, folder: Path) -> Path:
     if compiler is None:
         pytest.skip("there is no C compiler (cc) here")
     made = folder / program
-    sources = [FIRMWARE / "host" / f"{program}.c", FIRMWARE / "hnf_device.c", FIRMWARE / "hnf_protocol.c"]
+    sources = [FIRMWARE / "host" / f"{program}.c", *sorted(FIRMWARE.glob("hnf_*.c"))]
     order = [compiler, *STRICT, *map(str, sources), "-o", str(made)]
     probe = folder / "probe.c"
     probe.write_text("int main(void) { return 0; }\n", encoding="utf-8")

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from firmware_host import FIRMWARE, STRICT
 
-CORE = [FIRMWARE / name for name in ("hnf_protocol.h", "hnf_protocol.c", "hnf_device.h", "hnf_device.c")]
+CORE = sorted(FIRMWARE.glob("hnf_*.[ch]"))
 MAKES = FIRMWARE / "pico" / "CMakeLists.txt"
 
 PICO_SDK = {
@@ -65,7 +65,7 @@ def test_the_main_file_of_the_pico_is_c_that_compiles(tmp_path: Path) -> None:
         path.write_text(f"#pragma once\n#include <stdbool.h>\n#include <stdint.h>\n{text}\n", encoding="utf-8")
     definitions = re.findall(r"^  (\w+=\w+)", MAKES.read_text(encoding="utf-8"), re.MULTILINE)
     assert "HNF_CHANNELS=2" in definitions
-    for source in ("pico/main.c", "hnf_device.c", "hnf_protocol.c"):
+    for source in ("pico/main.c", "hnf_device.c", "hnf_tick.c", "hnf_protocol.c"):
         order = [compiler("cc"), *STRICT, "-fsyntax-only", f"-I{tmp_path}", *(f"-D{each}" for each in definitions)]
         done = subprocess.run([*order, str(FIRMWARE / source)], capture_output=True, text=True, timeout=60)
         assert done.returncode == 0, done.stderr
@@ -80,7 +80,7 @@ def test_the_pico_has_memory_for_the_rates_that_it_offers() -> None:
 
 
 def test_the_core_compiles_for_the_microcontroller(tmp_path: Path) -> None:
-    for source in ("hnf_device.c", "hnf_protocol.c"):
+    for source in ("hnf_device.c", "hnf_tick.c", "hnf_protocol.c"):
         order = [compiler("arm-none-eabi-gcc"), "-mcpu=cortex-m0plus", "-mthumb", *STRICT, "-Os", "-c"]
         done = subprocess.run(
             [*order, str(FIRMWARE / source), "-o", str(tmp_path / "core.o")], capture_output=True, text=True, timeout=60

@@ -3,96 +3,13 @@
 
 #include <string.h>
 
-/* One core, so the compiler alone must keep the order of stores. */
-#define BARRIER() __asm__ volatile("" ::: "memory")
-
-enum command { OFF, RUN, DRAIN, DROP }; /* what the main loop wants of the tick */
-enum phase { QUIET, FADING, SOUNDING }; /* what the tick does */
-
-/* ---- the tick ---- */
-
-/* The count that may follow `before`: within peak, and within slew of it. */
-static int16_t limited(hnf_device *device, int32_t wanted, int16_t before)
-{
-    int32_t peak = device->peak, slew = device->slew, value = wanted;
-    if (value > peak) value = peak;
-    if (value < -peak) value = -peak;
-    if (value > before + slew) value = before + slew;
-    if (value < before - slew) value = before - slew;
-    if (value != wanted) device->limited++;
-    return (int16_t)value;
-}
-
-static int may_begin(hnf_device *device, uint8_t command, uint32_t fill)
-{
-    if (fill == 0) return 0;
-    return command == DRAIN || fill >= device->fill_first || ++device->waited >= device->ramp;
-}
-
-/* Nothing is left to play: what sounds fades, and what comes next rises from nothing. */
-static void let_fade(hnf_device *device)
-{
-    memcpy(device->fading, device->out, sizeof device->fading);
-    device->gain = 0;
-    device->waited = 0;
-    device->phase = FADING;
-}
-
-/* One step of what fades towards silence. */
-static int16_t faded(const hnf_device *device, int16_t value)
-{
-    int32_t now = value, step = device->step;
-    return (int16_t)(now > step ? now - step : now < -step ? now + step : 0);
-}
-
-/* The oldest frame of the queue joins what fades. */
-static void play(hnf_device *device)
-{
-    const int16_t *frame = device->fifo + (size_t)device->reading * device->channels;
-    if (device->gain < device->ramp) device->gain++;
-    for (uint8_t c = 0; c < device->channels; c++) {
-        int32_t wanted = frame[c];
-        if (device->gain < device->ramp) wanted = wanted * device->gain / device->ramp;
-        device->out[c] = limited(device, device->fading[c] + wanted, device->out[c]);
-    }
-    device->reading = (uint16_t)(device->reading + 1 == device->slots ? 0 : device->reading + 1);
-    BARRIER();
-    device->read++;
-    device->played++;
-}
-
-void hnf_device_tick(hnf_device *device, int16_t *out)
-{
-    uint8_t command = device->command, silent = 1;
-    uint32_t fill = device->written - device->read;
-    BARRIER();
-    if (command == DROP || command == OFF) {
-        device->reading = device->written_slot;
-        device->read = device->written;
-        if (device->phase == SOUNDING) let_fade(device);
-    } else if (device->phase == SOUNDING && fill == 0) {
-        if (command == RUN) device->underruns++;
-        let_fade(device);
-    } else if (device->phase != SOUNDING && may_begin(device, command, fill)) {
-        device->phase = SOUNDING;
-    }
-    for (uint8_t c = 0; c < device->channels; c++) {
-        device->fading[c] = faded(device, device->fading[c]);
-        silent &= device->fading[c] == 0;
-    }
-    if (device->phase == SOUNDING) play(device);
-    else memcpy(device->out, device->fading, sizeof device->out);
-    if (device->phase == FADING && silent) device->phase = QUIET;
-    memcpy(out, device->out, device->channels * sizeof *out);
-}
-
 /* ---- what is said ---- */
 
 uint8_t hnf_device_state(const hnf_device *device)
 {
     if (device->mode != HNF_PLAYING) return device->mode;
-    if (device->command != RUN) return HNF_STOPPING;
-    return device->phase == SOUNDING ? HNF_PLAYING : HNF_WAITING;
+    if (device->command != HNF_RUN) return HNF_STOPPING;
+    return device->phase == HNF_SOUNDING ? HNF_PLAYING : HNF_WAITING;
 }
 
 uint32_t hnf_device_queued(const hnf_device *device) { return device->written - device->read; }
@@ -167,11 +84,11 @@ static void stop(hnf_device *device, uint8_t command, uint8_t after)
         return;
     }
     /* FAULT outranks IDLE, and that READY. */
-    if (device->command == RUN || after == HNF_FAULT || device->after == HNF_READY) device->after = after;
-    if (device->command != DROP) device->command = command;
+    if (device->command == HNF_RUN || after == HNF_FAULT || device->after == HNF_READY) device->after = after;
+    if (device->command != HNF_DROP) device->command = command;
 }
 
-static int sounds(const hnf_device *device) { return device->phase != QUIET; }
+static int sounds(const hnf_device *device) { return device->phase != HNF_QUIET; }
 
 static void on_hello(hnf_device *device, const hnf_hello *hello)
 {
@@ -183,7 +100,7 @@ static void on_hello(hnf_device *device, const hnf_hello *hello)
         say_error(device, HNF_E_VERSION, "I speak version 1 only: use a host program of that version.");
         return;
     }
-    device->command = OFF;
+    device->command = HNF_OFF;
     device->mode = HNF_READY;
     device->known = 0;
     device->crc_before = device->decoder.crc_errors;
@@ -226,8 +143,8 @@ static void on_start(hnf_device *device, const hnf_start *start)
         say_error(device, code, text);
         return;
     }
-    device->command = OFF;
-    BARRIER();
+    device->command = HNF_OFF;
+    HNF_BARRIER();
     uint32_t queue = largest_queue(start->rate_hz, start->channels);
     if (start->queue > 0 && start->queue < queue) queue = start->queue;
     device->session = start->session;
@@ -244,7 +161,7 @@ static void on_start(hnf_device *device, const hnf_start *start)
     /* A tick that comes now sets its indices to these two. */
     device->written_slot = device->writing = 0;
     device->written = 0;
-    BARRIER();
+    HNF_BARRIER();
     device->reading = 0;
     device->read = 0;
     device->known = 1;
@@ -254,8 +171,8 @@ static void on_start(hnf_device *device, const hnf_start *start)
         return;
     }
     device->mode = HNF_PLAYING;
-    BARRIER();
-    device->command = RUN;
+    HNF_BARRIER();
+    device->command = HNF_RUN;
     say_credit(device);
     device->status_due = 1;
 }
@@ -291,7 +208,7 @@ static void on_samples(hnf_device *device, const hnf_samples *samples)
         say_error(device, HNF_E_SESSION, "These samples belong to no stream of mine: another program has the port.");
         return;
     }
-    if (device->mode != HNF_PLAYING || device->command != RUN) return; /* sent before the host's STOP took effect */
+    if (device->mode != HNF_PLAYING || device->command != HNF_RUN) return; /* sent before the host's STOP took effect */
     if (samples->samples % device->channels != 0) {
         say_error(device, HNF_E_MALFORMED, "Half a frame.");
         return;
@@ -311,7 +228,7 @@ static void on_samples(hnf_device *device, const hnf_samples *samples)
     }
     device->lost += gap;
     device->position += gap + count;
-    BARRIER();
+    HNF_BARRIER();
     device->written_slot = device->writing;
     device->written += gap + count;
 }
@@ -333,7 +250,7 @@ static void handle(void *context, uint8_t type, const uint8_t *payload, uint16_t
         return;
     case HNF_STOP:
         if (!hnf_get_stop(&got.drain, payload, length)) return;
-        if (device->mode == HNF_PLAYING) stop(device, got.drain ? DRAIN : DROP, HNF_READY);
+        if (device->mode == HNF_PLAYING) stop(device, got.drain ? HNF_DRAIN : HNF_DROP, HNF_READY);
         else if (device->mode == HNF_READY) say_credit(device);
         return;
     case HNF_PING:
@@ -374,9 +291,9 @@ void hnf_device_receive(hnf_device *device, const uint8_t *bytes, size_t count, 
 void hnf_device_poll(hnf_device *device, uint32_t now_us)
 {
     hnf_device_receive(device, NULL, 0, now_us);
-    if (device->mode == HNF_PLAYING && device->command != RUN && !sounds(device)
+    if (device->mode == HNF_PLAYING && device->command != HNF_RUN && !sounds(device)
         && hnf_device_queued(device) == 0) {
-        device->command = OFF;
+        device->command = HNF_OFF;
         device->mode = device->after;
         say_credit(device);
     }
@@ -395,11 +312,11 @@ void hnf_device_temperature(hnf_device *device, int16_t tenths)
 void hnf_device_fault(hnf_device *device, uint8_t code, const char *text)
 {
     say_error(device, code, text);
-    stop(device, DROP, HNF_FAULT);
+    stop(device, HNF_DROP, HNF_FAULT);
 }
 
 void hnf_device_unplugged(hnf_device *device)
 {
     /* A fault outlives its host: only HELLO ends it. */
-    if (device->mode != HNF_FAULT) stop(device, DROP, HNF_IDLE);
+    if (device->mode != HNF_FAULT) stop(device, HNF_DROP, HNF_IDLE);
 }

@@ -35,6 +35,12 @@ typedef struct {
     void *context;
 } hnf_config;
 
+/* One core, so the compiler alone must keep the order of stores. */
+#define HNF_BARRIER() __asm__ volatile("" ::: "memory")
+
+enum hnf_command { HNF_OFF, HNF_RUN, HNF_DRAIN, HNF_DROP };   /* what the main loop wants of the tick */
+enum hnf_phase { HNF_QUIET, HNF_FADING, HNF_SOUNDING };        /* what the tick does */
+
 typedef struct {
     hnf_config config;
     hnf_decoder decoder;

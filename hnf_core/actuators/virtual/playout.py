@@ -1,6 +1,6 @@
 """What a device plays: a short queue, its limits, and the ramps that are its watchdog.
 
-The law is that of tools/firmware/hnf_device.c, tick by tick: equal counts in, equal counts out.
+The law is that of tools/firmware/hnf_tick.c, tick by tick: equal counts in, equal counts out.
 """
 
 from __future__ import annotations
