@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 
@@ -52,13 +53,18 @@ def _outcomes(kind: Kind, count: int, options: Options) -> list[Outcome]:
     return outcomes(kind, count, SEED)
 
 
+def _form(message: str) -> str:
+    """Without the port and the figures, which differ each time."""
+    return re.sub(r"\d+([.]\d+)?", "#", message.partition(": ")[2] or message)
+
+
 def _row(kind: Kind, found: Sequence[Outcome]) -> Row:
     bad = [broken for outcome in found if (broken := faults_of(kind, outcome))]
     noticed = [outcome.noticed_s for outcome in found if outcome.noticed_s is not None]
     notes = ["plays on until stopped" if kind.survives else "ends"]
     if noticed:
         notes.append(f"known to the host within {1e3 * max(noticed):.0f} ms")
-    told = Counter(message.partition(": ")[2] or message for outcome in found for message in outcome.messages)
+    told = Counter(_form(message) for outcome in found for message in outcome.messages)
     notes += [f"“{words}” × {times}" for words, times in told.most_common(2)]
     notes += [f"NOT WELL: {', '.join(broken)}" for broken in bad[:3]]
     return Row(

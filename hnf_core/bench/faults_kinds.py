@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ from ..actuators.sinks.serial import SerialSink
 from ..actuators.virtual.device import Abilities, VirtualDevice
 from ..errors import DeviceError
 from .faults_process import killed, slept_briefly, slept_long
-from .faults_rig import RATE_HZ, Outcome, Rig
+from .faults_rig import RATE_HZ, Outcome, Rig, seconds
 
 Trial = Callable[[Rig], Outcome]
 
@@ -36,6 +37,25 @@ def unplugged(rig: Rig) -> Outcome:
     """The plug is pulled; the device has power of its own."""
     rig.play_for_a_while()
     outcome = rig.ended(rig.strike(rig.port.unplug))
+    rig.port.plug()
+    return replace(outcome, again=rig.starts_again())
+
+
+def unplugged_while_opened(rig: Rig) -> Outcome:
+    """The plug is pulled while host and device greet each other, or just after."""
+    struck: list[int] = []
+    pull = threading.Timer(float(rig.rng.uniform(0.0, 0.02)), lambda: struck.append(rig.strike(rig.port.unplug)))
+    pull.start()
+    told: tuple[str, ...] = ()
+    try:
+        rig.play()
+    except DeviceError as error:
+        told = (str(error),)
+    pull.join()
+    if told:
+        outcome = Outcome(seconds(rig.device.sounded - struck[0]), told, hung=not rig.quiet())
+    else:
+        outcome = rig.ended(struck[0])
     rig.port.plug()
     return replace(outcome, again=rig.starts_again())
 
@@ -234,6 +254,7 @@ def stopped(rig: Rig) -> Outcome:
 KINDS = (
     Kind("stop()", stopped, 0, True),
     Kind("port unplugged", unplugged),
+    Kind("port unplugged while it is opened", unplugged_while_opened),
     Kind("device stops reading", stops_reading),
     Kind("all messages to the device damaged", damaged(0.6, True, False)),
     Kind("all messages to the host damaged", damaged(0.6, False, True)),
