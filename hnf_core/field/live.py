@@ -79,7 +79,8 @@ class LiveSynthesis:
             raise UsageError(f"{len(mechanics)} mechanics and tokens of shape {tokens.shape} are no materials.")
         if probe not in PROBES:
             raise UsageError(f"there is no probe '{probe}'.", remedy=f"Known: {', '.join(PROBES)}.")
-        if field.config.accumulation != "past" or field.config.carriers.constant:
+        carriers = field.config.carriers
+        if field.config.accumulation != "past" or carriers.constant or not carriers.time_count:
             raise UsageError("a field of the published form cannot be felt live.", remedy="Use the shared field.")
         self._config, self._carriers = field.config, field.config.carriers
         self._emission = [LiveEmission(field, *each, probe) for each in zip(tokens, mechanics, strict=True)]

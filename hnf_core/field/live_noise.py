@@ -7,6 +7,9 @@ that nobody could foresee (a jump) is made at once. Blocks are kept as float32, 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +26,9 @@ KEPT_BLOCKS = 6
 FORESIGHT_STEPS = 100
 """A block is made at least this evenly, also for a hand that rests."""
 
+KEPT_STARTS = 12
+"""Chains whose first blocks are kept, 2 to 6 MB each: another material under the same hand begins there too."""
+
 HASTE_STEPS = 8
 """Where the hand is already but nothing sounds yet: a chain that was too fast to be heard."""
 _AT_ONCE = 8
@@ -38,7 +44,8 @@ class Chain:
     done by now. at_once: blocks that nobody had foreseen.
     """
 
-    def __init__(self, seed: int, stream: int, edges: Float, size: int) -> None:
+    def __init__(self, seed: int, stream: int, edges: tuple[float, ...], size: int) -> None:
+        self.edges = edges
         self.key, self.size, self.hop, self.bands = (seed, stream), size, size // 2, len(edges) - 1
         self.starts = np.clip(np.ceil(edges).astype(int), 1, size // 2).tolist()
         self.window = crossfade_window(size)
@@ -63,6 +70,10 @@ class Chain:
             out[:, place - first : place - first + stop - start] = part
             place += stop - start
         return out
+
+    def take(self, blocks: Mapping[int, Single]) -> None:
+        """Blocks that are known already, by their index."""
+        self._ready.update(blocks)
 
     def foresee(self, place: float, pace: float, *, turns: bool = True) -> None:
         """Owe a slice of the work ahead. place: sample; pace: samples per step, signed: where the hand goes. turns: it
@@ -141,23 +152,36 @@ def white_bins(raw: NDArray[np.uint64], low: int, high: int) -> NDArray[np.compl
     return np.asarray(np.sqrt(-2.0 * np.log(radius)) * np.exp(2j * np.pi * angle))
 
 
+@lru_cache(maxsize=KEPT_STARTS)
+def _about_zero(seed: int, stream: int, edges: tuple[float, ...], size: int) -> Mapping[int, Single]:
+    """The blocks that meet at sample 0, and the one before."""
+    chain, blocks = Chain(seed, stream, edges, size), {}
+    for index in (-2, -1, 0):
+        making = _Making(chain, index)
+        while making.left:
+            making.go_on()
+        making.waves.setflags(write=False)
+        blocks[index] = making.waves
+    return blocks
+
+
 class LiveNoise:
     """All carriers of a seed, about where the hand is. Made ready for a start at s = 0."""
 
     def __init__(self, carriers: Carriers, seed: int) -> None:
-        self.time = Chain(seed, 0, carriers.time_edges() * (TIME_BLOCK / MODEL_RATE_HZ), TIME_BLOCK)
+        period_s = TIME_BLOCK / MODEL_RATE_HZ
+        self.time = Chain(seed, 0, tuple(edge * period_s for edge in carriers.time_edges_hz), TIME_BLOCK)
         self.steps_m = np.array([carriers.arc_step_m(octave) for octave in range(carriers.arc_octaves)])
         edges = carriers.arc_edges()
         self.octaves: list[Chain] = []
         for octave, step in enumerate(self.steps_m):
             first = octave * ARC_PER_OCTAVE
-            inside = edges[first : first + ARC_PER_OCTAVE + 1] * (step * ARC_BLOCK)
+            inside = tuple((edges[first : first + ARC_PER_OCTAVE + 1] * (step * ARC_BLOCK)).tolist())
             self.octaves.append(Chain(seed, ARC_STREAM + octave, inside, ARC_BLOCK))
         self._lowest = edges[:-1:ARC_PER_OCTAVE].tolist()
         self._chains = (self.time, *self.octaves)
         for chain in self._chains:
-            chain.mixed(np.zeros((1, chain.bands), np.float32), -1, 2)
-            chain.at_once = 0
+            chain.take(_about_zero(*chain.key, chain.edges, chain.size))
 
     @property
     def kept(self) -> int:
