@@ -5,7 +5,10 @@ from __future__ import annotations
 import atexit
 import sys
 import time
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hnf_core.signal import Signal
 
 REDRAW_S = 0.2
 """Least time between two pictures of a level that moves."""
@@ -13,21 +16,26 @@ REDRAW_S = 0.2
 _shown_at = 0.0
 
 
-def tick(context: Any) -> None:
-    """Called by the preview's timer: take in what the processes said, tell the panel. Two comparisons while none
-    runs."""
+def tick(context: Any, stamp: str = "", signal: Signal | None = None) -> None:
+    """Called by the preview's timer: take in what the processes said, tell the panel. Some comparisons while none
+    runs. signal: that the preview shows, known by its stamp; None where it shows none."""
     global _shown_at
     from ..props.scene import actuator_of
     from ..state.redraw import redraw_tab
+    from .choice import chosen_output
     from .facts import facts_of, phase_of
     from .finding import FINDER
     from .link import LINK
-    from .state import ACTUATOR
+    from .skin import SKIN, words
+    from .state import ACTUATOR, VIRTUAL
 
+    profile = actuator_of(context.scene)
     found = FINDER.tick()
     told = LINK.tick()
+    if SKIN.look((stamp, profile), signal if chosen_output(context) == VIRTUAL else None, profile):
+        ACTUATOR.skin, found = () if SKIN.shown is None else words(SKIN.shown), True
     if told or (ACTUATOR.facts.phase, ACTUATOR.facts.problem) != (phase_of(LINK), LINK.problem):
-        facts = facts_of(LINK, actuator_of(context.scene))
+        facts = facts_of(LINK, profile)
         at_once = (facts.phase, facts.problem) != (ACTUATOR.facts.phase, ACTUATOR.facts.problem)
         ACTUATOR.facts = facts
         if at_once or time.monotonic() - _shown_at > REDRAW_S:

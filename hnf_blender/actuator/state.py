@@ -46,7 +46,8 @@ class ActuatorFacts:
 class ActuatorState:
     """chosen: target where there are no preferences to keep it. outputs: devices as last looked for; looked: whether
     they were; seeking: they are looked for now. without: Python packages that are not there or cannot be loaded;
-    missing: the same in sentences."""
+    missing: the same in sentences. skin: what a skin would get of the shown stroke on the virtual actuator, in
+    words."""
 
     chosen: str = SPEAKERS
     outputs: tuple[Output, ...] = ()
@@ -55,6 +56,7 @@ class ActuatorState:
     without: frozenset[str] = frozenset()
     missing: tuple[str, ...] = ()
     facts: ActuatorFacts = ActuatorFacts()
+    skin: tuple[str, ...] = ()
 
 
 ACTUATOR = ActuatorState()

@@ -64,8 +64,12 @@ def _look(context: Any, timeline_plays: bool) -> None:
     from ..state.session import STATE
     from . import current
 
-    actuator.tick(context)
     scene, active = context.scene, active_stroke(context)
+    shown_now = None if active is None else PREVIEW.shown(active.name)
+    if shown_now is None:
+        actuator.tick(context)
+    else:
+        actuator.tick(context, shown_now.stamp, shown_now.signal)
     heard = current.collect()
     settings = scene.hnf
     seen = (

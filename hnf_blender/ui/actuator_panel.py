@@ -9,13 +9,13 @@ import bpy
 from hnf_core.actuators.profile import OWN, ActuatorProfile
 
 from ..actuator.choice import chosen_output, outputs, plays_whole, title_of
-from ..actuator.state import ACTUATOR, SPEAKERS, ActuatorFacts, Phase
+from ..actuator.state import ACTUATOR, SPEAKERS, VIRTUAL, ActuatorFacts, Phase
 from ..props.scene import actuator_of
 from ..translations import tr
 from .layout import TouchPanel, hint, named, paragraph, side_by_side
 
 PHASES = {
-    Phase.OFF: ("RADIOBUT_OFF", "Not used yet"),
+    Phase.OFF: ("RADIOBUT_OFF", "Not running"),
     Phase.OPENING: ("SORTTIME", "Connecting"),
     Phase.READY: ("RADIOBUT_ON", "Silent; the device is free for others"),
     Phase.PLAYING: ("PLAY", "Playing"),
@@ -87,6 +87,9 @@ def draw_output(layout: Any, context: Any) -> None:
     row.operator("hnf.actuator_test", text="Test", icon="IPO_EASE_IN_OUT")
     row.operator("hnf.preview_stop", text="Stop", icon="SNAP_FACE")
     draw_status(layout, context, facts)
+    if target == VIRTUAL:
+        for line in ACTUATOR.skin:
+            paragraph(layout, context, line, icon="VIEW_PAN")
     draw_live(layout, context, facts)
 
 

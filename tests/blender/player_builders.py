@@ -43,4 +43,4 @@ def chosen(target: str) -> Iterator[None]:
         yield
     finally:
         ACTUATOR.chosen, ACTUATOR.facts = SPEAKERS, ActuatorFacts()
-        ACTUATOR.outputs, ACTUATOR.without, ACTUATOR.missing = (), frozenset(), ()
+        ACTUATOR.outputs, ACTUATOR.without, ACTUATOR.missing, ACTUATOR.skin = (), frozenset(), (), ()

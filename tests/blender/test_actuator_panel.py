@@ -19,6 +19,7 @@ from hnf_blender import actuator, preview, translations
 from hnf_blender.actuator import choice, finding
 from hnf_blender.actuator.choice import choose_output, chosen_output, plays_whole, title_of
 from hnf_blender.actuator.link import LINK
+from hnf_blender.actuator.skin import felt
 from hnf_blender.actuator.state import ACTUATOR, SPEAKERS, VIRTUAL, ActuatorFacts, Output, Phase
 from hnf_blender.preview import current
 from hnf_blender.preview.facts import PREVIEW
@@ -27,8 +28,12 @@ from hnf_blender.preview.timeline import Follower, sound_ahead
 from hnf_blender.preview.whole import limited
 from hnf_blender.rooms import classes_of
 from hnf_blender.ui.actuator_panel import PHASES
+from hnf_core.actuators.limiter import Limiter
 from hnf_core.actuators.limits import Limits
+from hnf_core.actuators.profile import GENERIC
+from hnf_core.actuators.virtual.recording import Recording
 from hnf_core.errors import FileError
+from hnf_core.signal import Signal
 
 LIMIT_S = 40.0
 UI = {each.__name__: each for each in classes_of("hnf_blender.ui", hnf_blender.ui.MODULES)}
@@ -278,6 +283,37 @@ def test_dragging_the_playhead_is_felt_on_an_actuator_alone(stroke) -> None:
         scene.hnf.follow_timeline = state == SPEAKERS
         Follower().scrub(scene)
         assert not LINK.is_playing
+
+
+def test_what_a_skin_would_get_is_what_the_virtual_device_would_have_recorded() -> None:
+    sound = tone(0.4, level=60.0)  # twice what the generic voice coil bears
+    limiter = Limiter(GENERIC.limits, RATE_HZ, 1)
+    counts = np.concatenate([limiter.process(sound.samples[:, None]), limiter.release()])
+    recording = Recording()
+    recording.hear(0, RATE_HZ, counts)
+    found = felt(Signal(sound.samples, RATE_HZ, seed=0), GENERIC)
+    moved = recording.motion.acceleration[:, 0]
+    assert found.rms == pytest.approx(float(np.sqrt(np.mean(np.square(moved)))), rel=0.01)
+    assert found.peak == pytest.approx(float(np.abs(moved).max()), rel=1e-6)
+    assert found.held_back == limiter.limited > 0
+    assert found.warmest > 25.0
+    assert felt(Signal(np.zeros(0, np.float32), RATE_HZ, seed=0), GENERIC).rms == 0.0
+
+
+def test_on_the_virtual_actuator_the_panel_says_what_a_skin_would_get(stroke) -> None:
+    heard = PREVIEW.heard["Along"]
+
+    def told(signal=heard.signal) -> bool:
+        actuator.tick(bpy.context, heard.stamp, signal)
+        return bool(ACTUATOR.skin)
+
+    assert until(told)
+    assert "A skin would get" in panel().words
+    strong = [line for line in ACTUATOR.skin if "held back" in line]
+    bpy.context.scene.hnf.actuator, bpy.context.scene.hnf.own_peak_m_s2 = "own", 0.05
+    assert until(lambda: told() and [line for line in ACTUATOR.skin if "held back" in line] != strong)
+    assert not told(None)
+    assert "A skin would get" not in panel().words
 
 
 def test_the_panel_says_what_goes_on_and_what_went_wrong(virtual) -> None:

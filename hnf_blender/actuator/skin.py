@@ -1,0 +1,87 @@
+"""What a skin would get of a stroke on the virtual actuator: through the limits, through the transducer. Worked out
+beside the window; the newest stroke wins."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..translations import tr
+
+if TYPE_CHECKING:
+    from hnf_core.actuators.profile import ActuatorProfile
+    from hnf_core.signal import Signal
+
+PAUSE_S = 0.05
+"""Of silence after a stroke, in which what rings is still felt."""
+
+
+@dataclass(frozen=True)
+class Felt:
+    """Acceleration of the skin, m/s²; warmest: of the coil, °C; held_back: samples that the limits changed."""
+
+    peak: float
+    rms: float
+    warmest: float
+    held_back: int
+
+
+def felt(signal: Signal, profile: ActuatorProfile) -> Felt:
+    """Of a transducer that was at rest and cool."""
+    from hnf_core.actuators.limiter import Limiter
+    from hnf_core.actuators.virtual.transducer import GENERIC_TRANSDUCER, drive_of, move
+
+    limiter = Limiter(profile.limits, signal.sample_rate, 1)
+    counts = np.concatenate([limiter.process(signal.samples[:, None]), limiter.release()])
+    rest = np.zeros((round(PAUSE_S * signal.sample_rate), 1), dtype=np.int16)
+    motion = move(GENERIC_TRANSDUCER, drive_of(np.concatenate([counts, rest])), signal.sample_rate)
+    skin = motion.acceleration[: len(signal.samples)]
+    rms = float(np.sqrt(np.mean(np.square(skin)))) if len(skin) else 0.0
+    peak = float(np.abs(motion.acceleration).max(initial=0.0))
+    return Felt(peak, rms, float(motion.temperature.max()), limiter.limited)
+
+
+def words(found: Felt) -> tuple[str, ...]:
+    said = tr("A skin would get: peak {peak} m/s², RMS {rms} m/s²; coil up to {temperature} °C")
+    lines = [said.format(peak=f"{found.peak:.3g}", rms=f"{found.rms:.3g}", temperature=f"{found.warmest:.1f}")]
+    if found.held_back:
+        lines.append(tr("{count} samples would be held back by the limits").format(count=found.held_back))
+    return tuple(lines)
+
+
+class Skin:
+    """One stroke at a time is worked out, in a thread."""
+
+    def __init__(self) -> None:
+        self._asked: object = None
+        self._thread: threading.Thread | None = None
+        self._found: tuple[object, Felt] | None = None
+        self.shown: Felt | None = None
+
+    def look(self, key: object, signal: Signal | None, profile: ActuatorProfile) -> bool:
+        """Make shown that of this signal on this actuator, some ticks later; True where it became another. key: equal
+        while both are."""
+        before = self.shown
+        if self._thread is not None and not self._thread.is_alive():
+            self._thread = None
+        if signal is None:
+            self._asked = self.shown = None
+        elif key != self._asked and self._thread is None:
+            self._asked, self.shown = key, None
+            self._thread = threading.Thread(
+                target=self._work, args=(key, signal, profile), name="hnf skin", daemon=True
+            )
+            self._thread.start()
+        found = self._found
+        if found is not None and found[0] == self._asked:
+            self.shown = found[1]
+        return self.shown is not before
+
+    def _work(self, key: object, signal: Signal, profile: ActuatorProfile) -> None:
+        self._found = key, felt(signal, profile)
+
+
+SKIN = Skin()
