@@ -151,6 +151,9 @@ def test_stop_drops_what_is_owed(server: SoundServer) -> None:
     assert 0 < played < RATE_HZ
     loud = np.flatnonzero(found[0][:, 0])
     assert loud[-1] - loud[0] + 1 <= played + RAMP
+    ending = found[0][loud[-1] - RAMP + 2 : loud[-1] + 2, 0].astype(int)
+    assert ending[-1] == 0
+    assert np.abs(np.diff(ending)).max() <= 16000 // RAMP + 1  # let out to its very end
     with pytest.raises(DeviceError, match="closed"):
         sink.write(np.zeros((1, 1), np.int16))
 

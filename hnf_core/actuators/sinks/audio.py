@@ -30,6 +30,8 @@ LEAST_QUEUE_S = 0.005
 SILENT_CALLBACK_S = 0.5
 """No request for so long: the device is gone, or the machine slept."""
 
+LET_OUT_S = 0.05
+
 _OPEN: set[int] = set()
 """Sinks with a stream: while there is one, PortAudio must not be started anew."""
 
@@ -102,14 +104,10 @@ class AudioSink:
         return SinkStatus(played=told.played, underruns=told.underruns + told.missed, problem=self._problem)
 
     def finish(self, timeout_s: float) -> None:
-        until = time.monotonic() + timeout_s
+        self._check()
         self._incoming.append(_Word.DRAIN)
-        while time.monotonic() < until:
-            self._check()
-            if not self._incoming and self._told.silent and self._told.pushed == self._written:
-                time.sleep(min(float(self._stream.latency), max(0.0, until - time.monotonic())))
-                return
-            time.sleep(_POLL_S)
+        self._let_out(self._stream, timeout_s)
+        self._check()
 
     def stop(self) -> None:
         self._incoming.append(_Word.DROP)
@@ -119,13 +117,25 @@ class AudioSink:
         if stream is None:
             return
         self.stop()
-        until = time.monotonic() + 0.1
-        while not self._told.silent and stream.active and time.monotonic() < until:
-            time.sleep(_POLL_S)
-        # The sound system still has the end of the fade: it is let out, unless nobody takes it any more.
-        (stream.abort if self._problem or not stream.active else stream.stop)(ignore_errors=True)
+        self._let_out(stream, LET_OUT_S + 3.0 * float(stream.latency))
+        stream.abort(ignore_errors=True)
         stream.close(ignore_errors=True)
         _OPEN.discard(id(self))
+
+    def _let_out(self, stream: Any, timeout_s: float) -> None:
+        """Wait until nothing sounds, and the sound system has then got more silence than it holds: ended sooner, it
+        would cut off the end of a fade."""
+        until, held = time.monotonic() + timeout_s, 2.0 * float(stream.latency) * float(stream.samplerate)
+        quiet_at: int | None = None
+        while stream.active and time.monotonic() < until:
+            told = self._told
+            if self._incoming or not told.silent:
+                quiet_at = None
+            elif quiet_at is None:
+                quiet_at = told.asked
+            elif told.asked - quiet_at > held:
+                return
+            time.sleep(_POLL_S)
 
     def _settle(self, seconds: float) -> None:
         """Wait while the sound system fills its own buffers, which it does at once and not as time goes by."""
