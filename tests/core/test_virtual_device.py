@@ -287,3 +287,15 @@ def test_a_recording_holds_the_silence_between_sounds() -> None:
     recording.hear(200, 4000, np.array([[3, 4]], dtype=np.int16))
     assert recording.counts.tolist() == [[3, 4]]
     assert recording.motion.acceleration.shape == (1, 2)
+
+
+@given(st.lists(st.tuples(st.integers(0, 40), st.integers(1, 9000)), min_size=1, max_size=12), st.integers(0, 99))
+@settings(max_examples=30, deadline=None)
+def test_a_recording_is_all_that_was_heard_however_it_came(pieces: list[tuple[int, int]], seed: int) -> None:
+    recording, whole = Recording(), [np.zeros((0, 2), dtype=np.int16)]
+    for gap, count in pieces:
+        whole.append(np.zeros((gap, 2), dtype=np.int16))
+        sound = np.random.default_rng(seed).integers(1, 99, (count, 2)).astype(np.int16)
+        recording.hear(sum(map(len, whole)), 8000, sound)
+        whole.append(sound)
+    np.testing.assert_array_equal(recording.counts, np.concatenate(whole)[pieces[0][0] :])

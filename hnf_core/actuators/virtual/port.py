@@ -23,6 +23,7 @@ catches up in steps between which the host can feed it."""
 LOST_S = 0.5
 """What it cannot catch up: its clock has stood still, and that is counted."""
 
+READ_BYTES = 65_536
 HELD_BYTES = 4096
 """That wait for a host that does not read; more is lost, as on any wire."""
 
@@ -37,8 +38,9 @@ class VirtualPort:
     """path: what a host opens; it stays the same when the plug is pulled and put in again. recording: all that was
     played. slipped: frames that the sample clock stood still for want of a machine.
 
-    speed: of its sample clock, 1 = honest. deaf: it does not read. gulp: most bytes that it reads in a millisecond.
-    from_host, to_host: what the wire does to bytes. All may be changed at any time. A context manager.
+    speed: of its sample clock, 1 = honest. deaf: it does not read. baud: of the line, 10 bits a byte, by the sample
+    clock; None: as fast as a pty. from_host, to_host: what the wire does to bytes. All may be changed at any time. A
+    context manager.
     """
 
     def __init__(
@@ -56,14 +58,15 @@ class VirtualPort:
         self._open_pty, self._set_raw = pty.openpty, tty.setraw
         self.recording = Recording(transducer)
         self.device = VirtualDevice(abilities, transducer, self.recording.hear)
-        self.speed, self.deaf, self.gulp, self.slipped = speed, False, 65536, 0
+        self.speed, self.deaf, self.slipped = speed, False, 0
+        self.baud: int | None = None
         self.from_host: Wire = _as_it_is
         self.to_host: Wire = _as_it_is
         self._folder = tempfile.TemporaryDirectory(prefix="hnf-virtual-")
         self.path = str(Path(self._folder.name) / "port")
         self._lock = threading.RLock()
         self._ends: tuple[int, int] | None = None
-        self._held = b""
+        self._held, self._budget = b"", 0.0
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="hnf virtual device", daemon=True)
         self.plug()
@@ -121,7 +124,6 @@ class VirtualPort:
             time.sleep(TICK_S)
             with self._lock:
                 now = time.monotonic()
-                self._listen()
                 debt += (now - last) * self.device.rate_hz * self.speed
                 last, lost = now, debt - LOST_S * self.device.rate_hz
                 if lost > 0.0:
@@ -129,18 +131,25 @@ class VirtualPort:
                     debt -= lost
                 due = min(int(debt), int(LATE_S * self.device.rate_hz))
                 debt -= due
+                self._listen(due / self.device.rate_hz)
                 self.device.advance(due)
                 self._speak()
 
-    def _listen(self) -> None:
+    def _listen(self, seconds: float) -> None:
+        """To what a line with its baud carries in seconds."""
         if self._ends is None or self.deaf:
             return
+        most = READ_BYTES
+        if self.baud is not None:
+            self._budget = min(self._budget + seconds * self.baud / 10.0, 2.0 * LATE_S * self.baud / 10.0)
+            most = int(self._budget)
         try:
-            data = os.read(self._ends[0], self.gulp)
+            data = os.read(self._ends[0], most) if most else b""
         except BlockingIOError:
             data = b""
         except OSError:
             return
+        self._budget -= len(data)
         self.device.receive(self.from_host(data))
 
     def _speak(self) -> None:

@@ -10,6 +10,22 @@ import numpy as np
 from ..sink import Counts
 from .transducer import GENERIC_TRANSDUCER, Motion, Transducer, drive_of, move
 
+PIECE = 16_384
+"""Frames of memory that are taken at once: few and large, for an hour of small pieces would wear out Python."""
+
+
+@dataclass
+class _Piece:
+    """What sounded without a gap from the clock at its first frame on; filled frames of room are used."""
+
+    clock: int
+    room: Counts
+    filled: int = 0
+
+    @property
+    def counts(self) -> Counts:
+        return self.room[: self.filled]
+
 
 @dataclass
 class Recording:
@@ -17,16 +33,21 @@ class Recording:
 
     transducer: Transducer = GENERIC_TRANSDUCER
     rate_hz: float = 0.0
-    _pieces: list[tuple[int, Counts]] = field(default_factory=list)
+    _pieces: list[_Piece] = field(default_factory=list)
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def hear(self, clock: int, rate_hz: float, counts: Counts) -> None:
         """As VirtualDevice tells it. What was played at another rate or on other channels before is forgotten."""
         with self._lock:
-            if self._pieces and (rate_hz != self.rate_hz or counts.shape[1] != self._pieces[0][1].shape[1]):
+            if self._pieces and (rate_hz != self.rate_hz or counts.shape[1] != self._pieces[0].room.shape[1]):
                 self._pieces.clear()
             self.rate_hz = rate_hz
-            self._pieces.append((clock, counts))
+            last = self._pieces[-1] if self._pieces else None
+            if last is None or clock != last.clock + last.filled or last.filled + len(counts) > len(last.room):
+                last = _Piece(clock, np.zeros((max(PIECE, len(counts)), counts.shape[1]), dtype=np.int16))
+                self._pieces.append(last)
+            last.room[last.filled : last.filled + len(counts)] = counts
+            last.filled += len(counts)
 
     def forget(self) -> None:
         with self._lock:
@@ -36,7 +57,7 @@ class Recording:
     def counts(self) -> Counts:
         """(n, channels): from the first frame that was no silence to the last, with the silence between them."""
         with self._lock:
-            pieces = list(self._pieces)
+            pieces = [(piece.clock, piece.counts.copy()) for piece in self._pieces]
         if not pieces:
             return np.zeros((0, 1), dtype=np.int16)
         first = pieces[0][0]
