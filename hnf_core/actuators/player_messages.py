@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import MISSING, asdict, dataclass, fields
+from functools import cache
 from types import UnionType
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
@@ -180,25 +181,29 @@ def encode(message: Command | Report) -> str:
 
 def decode_command(line: str) -> Command:
     """Raises UsageError, in one line, where it is none."""
-    found: Command = _decode(line, get_args(Command))
+    found: Command = _decode(line, _COMMANDS)
     return found
 
 
 def decode_report(line: str) -> Report:
     """Raises UsageError, in one line, where it is none."""
-    found: Report = _decode(line, get_args(Report))
+    found: Report = _decode(line, _REPORTS)
     return found
 
 
-def _decode(line: str, kinds: tuple[type[Any], ...]) -> Any:
+_COMMANDS: dict[str, type[Any]] = {kind.__name__: kind for kind in get_args(Command)}
+_REPORTS: dict[str, type[Any]] = {kind.__name__: kind for kind in get_args(Report)}
+
+
+def _decode(line: str, kinds: dict[str, type[Any]]) -> Any:
     try:
         found = json.loads(line, parse_constant=_no_number)
         if not isinstance(found, dict):
             raise ValueError("it is no object")
         name = found.pop("is", None)
-        kind = {kind.__name__: kind for kind in kinds}.get(name) if isinstance(name, str) else None
+        kind = kinds.get(name) if isinstance(name, str) else None
         if kind is None:
-            raise ValueError(f'"is" is none of {", ".join(kind.__name__ for kind in kinds)}')
+            raise ValueError(f'"is" is none of {", ".join(kinds)}')
         return _record(kind, found)
     except (ValueError, OverflowError, RecursionError) as error:
         said = line if len(line) <= 60 else f"{line[:60]}…"
@@ -206,15 +211,21 @@ def _decode(line: str, kinds: tuple[type[Any], ...]) -> Any:
         raise UsageError(f"a message that cannot be read, {why}: {json.dumps(said)}.") from error
 
 
+@cache
+def _shape(kind: type[Any]) -> tuple[dict[str, Any], frozenset[str]]:
+    """Type of each field, and those that must be there. Looked up once: a hand moves a thousand times a second."""
+    needed = frozenset(field.name for field in fields(kind) if field.default is MISSING)
+    return {field.name: get_type_hints(kind)[field.name] for field in fields(kind)}, needed
+
+
 def _record(kind: type[Message], found: dict[str, Any]) -> Message:
-    hints = get_type_hints(kind)
-    expected = {field.name: field for field in fields(kind)}  # type: ignore[arg-type]
-    unknown = [name for name in found if name not in expected]
+    hints, needed = _shape(kind)
+    unknown = found.keys() - hints.keys()
     if unknown:
-        raise ValueError(f"{kind.__name__} has no field '{unknown[0]}'")
-    missing = [name for name, field in expected.items() if field.default is MISSING and name not in found]
+        raise ValueError(f"{kind.__name__} has no field '{min(unknown)}'")
+    missing = needed - found.keys()
     if missing:
-        raise ValueError(f"{kind.__name__} needs '{missing[0]}'")
+        raise ValueError(f"{kind.__name__} needs '{min(missing)}'")
     return kind(**{name: _value(hints[name], value, f"{kind.__name__}.{name}") for name, value in found.items()})
 
 
