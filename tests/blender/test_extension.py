@@ -28,7 +28,7 @@ MEGABYTE = 1_000_000
 FOREIGN = ("torch", "scipy", "hnf_core", "hnf_blender")
 
 # What switching it on must not load: Blender starts with it every day, and touches on some.
-LATER = ("matplotlib", "OpenEXR", "embreex", "safetensors", "PIL")
+LATER = ("matplotlib", "OpenEXR", "embreex", "safetensors", "PIL", "serial", "sounddevice", "pythonosc")
 TIMES = 50
 
 # As `blender -b` starts: preferences read, their add-ons on. The 4.2 module crashes in read_userpref, on any profile;
@@ -150,6 +150,7 @@ def test_its_wheels_are_unpacked_into_the_profile_and_work(profile: Profile) -> 
     """Blender puts them before other packages on the path, so these are the wheels' own files beside its numpy."""
     code = """
         import json, OpenEXR, embreex.rtcore_scene, matplotlib, numpy, safetensors.numpy
+        import _cffi_backend, pythonosc.udp_client, serial.tools.list_ports
         matplotlib.use('Agg')
         import matplotlib.pyplot as plt
         figure = plt.figure()
@@ -159,7 +160,7 @@ def test_its_wheels_are_unpacked_into_the_profile_and_work(profile: Profile) -> 
         assert safetensors.numpy.load(saved)['a'].tolist() == [1.0, 1.0, 1.0]
         OpenEXR.File({}, {'Y': numpy.ones((4, 4), numpy.float32)}).write('image.exr')
         scene = embreex.rtcore_scene.EmbreeScene()
-        modules = (OpenEXR, embreex, matplotlib, safetensors)
+        modules = (OpenEXR, embreex, matplotlib, safetensors, serial, pythonosc, _cffi_backend)
         print('RESULT', json.dumps({'files': [module.__file__ for module in modules]}))
     """
     run = profile.run(code)
@@ -167,6 +168,38 @@ def test_its_wheels_are_unpacked_into_the_profile_and_work(profile: Profile) -> 
     files = result_of(run)["files"]
     assert isinstance(files, list)
     assert [name for name in files if not name.startswith(str(profile.folder / "extensions" / ".local"))] == []
+
+
+def test_an_actuator_is_driven_from_the_installed_extension(profile: Profile) -> None:
+    """Its process finds the inside of the zip, where hnf_core is no package of its own."""
+    code = f"""
+        import importlib, json, time
+        import numpy as np
+        ours = lambda name: importlib.import_module('{PACKAGE}.' + name)
+        ours('actuator.state').ACTUATOR.chosen = 'virtual'
+        settings = ours('prefs').settings()
+        if hasattr(settings, 'bl_rna'):
+            settings.output = 'virtual'
+        link, finder = ours('actuator.link').LINK, ours('actuator.finding').FINDER
+        finder.look()
+        tone = (2.0 * np.sin(np.arange(3000) * 0.1)).astype(np.float32)
+        link.play(ours('actuator.sound').Sound(tone, 10000.0, ours('hnf_core.actuators.profile').GENERIC))
+        end = time.monotonic() + 40.0
+        while (link.is_playing or ours('actuator.state').ACTUATOR.seeking) and time.monotonic() < end:
+            link.tick(); finder.tick(); time.sleep(0.01)
+        heard, state = link.newest, ours('actuator.state').ACTUATOR
+        link.release()
+        print('RESULT', json.dumps({{
+            'problem': link.problem, 'peak': heard.status.peak if heard else 0.0, 'looked': state.looked,
+            'missing': [name for name in ('pyserial', 'python-osc') if name in state.without],
+            'foreign': 'hnf_core' in sys.modules,
+        }}))
+    """
+    run = profile.run(code)
+    assert run.returncode == 0, run.stdout + run.stderr
+    told = result_of(run)
+    assert told.pop("peak") == pytest.approx(2.0 / 30.0, rel=0.1)
+    assert told == {"problem": "", "looked": True, "missing": [], "foreign": False}
 
 
 def test_switched_on_and_off_fifty_times_it_leaves_nothing_behind(profile: Profile) -> None:
@@ -228,7 +261,7 @@ def test_it_asks_for_the_permissions_it_needs_and_no_other(archive: Path) -> Non
     with zipfile.ZipFile(archive) as zipped:
         manifest = tomllib.loads(zipped.read("blender_manifest.toml").decode())
         code = "".join(zipped.read(name).decode() for name in zipped.namelist() if name.endswith(".py"))
-    needed = {"files"} | ({"clipboard"} if ".clipboard" in code else set())
+    needed = {"files"} | ({"clipboard"} if ".clipboard" in code else set()) | ({"network"} if "osc" in code else set())
     assert set(manifest["permissions"]) == needed
     assert not re.search(r"^\s*(?:import|from) (?:urllib.request|http|requests|ssl)\b", code, re.MULTILINE)  # "network"
 
