@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import MISSING, asdict, dataclass, fields
-from functools import cache
 from types import UnionType
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
@@ -211,15 +210,18 @@ def _decode(line: str, kinds: dict[str, type[Any]]) -> Any:
         raise UsageError(f"a message that cannot be read, {why}: {json.dumps(said)}.") from error
 
 
-@cache
 def _shape(kind: type[Any]) -> tuple[dict[str, Any], frozenset[str]]:
-    """Type of each field, and those that must be there. Looked up once: a hand moves a thousand times a second."""
+    """Type of each field, and those that must be there."""
     needed = frozenset(field.name for field in fields(kind) if field.default is MISSING)
-    return {field.name: get_type_hints(kind)[field.name] for field in fields(kind)}, needed
+    return get_type_hints(kind), needed
+
+
+# Looked up once: a hand moves a thousand times a second.
+_SHAPES = {kind: _shape(kind) for kind in (Where, *get_args(Command), *get_args(Report))}
 
 
 def _record(kind: type[Message], found: dict[str, Any]) -> Message:
-    hints, needed = _shape(kind)
+    hints, needed = _SHAPES[kind]
     unknown = found.keys() - hints.keys()
     if unknown:
         raise ValueError(f"{kind.__name__} has no field '{min(unknown)}'")
