@@ -44,6 +44,7 @@ from hnf_core.actuators.profile_file import read_profile, write_profile
 from hnf_core.actuators.response import of_gains
 from hnf_core.actuators.sink import SinkFormat
 from hnf_core.actuators.sources.recorded import Recorded
+from hnf_core.actuators.virtual.port import VirtualPort
 from hnf_core.export.wav import write_wav
 from hnf_core.signal import Signal
 
@@ -222,6 +223,23 @@ def test_it_leaves_softly(tmp_path: Path, end: str) -> None:
     soft = next(at for at, value in enumerate(after) if value < 0.4)
     assert after[soft] == pytest.approx(0.25, abs=0.03)
     assert set(after[soft + 1 :]) == {0.0}
+
+
+def test_a_player_that_is_killed_is_silent_within_20_ms(tmp_path: Path) -> None:
+    """By the device's own sample clock: it had at most 15 ms, and fades."""
+    pytest.importorskip("serial", reason="pyserial is not installed")
+    one = wav(tmp_path / "one.wav", 0.5)
+    for _ in range(3):
+        with VirtualPort() as port, player() as it:
+            it.say(Play(1, one, Where(f"serial:{port.path}", GENERIC.name), loop=True))
+            it.wait_for(lambda each: isinstance(each, Status) and each.played_s > 0.1)
+            with port.standing() as device:
+                struck = device.clock
+                it.process.kill()
+                it.process.wait(10)
+            time.sleep(0.1)
+            assert device.clock - struck > 0.02 * device.rate_hz
+            assert device.sounded - struck <= 0.02 * device.rate_hz
 
 
 def test_it_leaves_when_its_parent_is_killed(tmp_path: Path) -> None:
