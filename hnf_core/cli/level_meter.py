@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 import sys
 import time
 from typing import TextIO
@@ -11,7 +12,7 @@ from ..actuators.report import StreamReport
 
 LOWEST_DB = -60.0
 PLAIN_S = 5.0
-WIDTH = 24
+WIDTH = 15
 
 
 class LevelMeter:
@@ -26,7 +27,8 @@ class LevelMeter:
     def show(self, report: StreamReport) -> None:
         line = meter_line(report, self._full, self._whole)
         if self._redraws:
-            self._stream.write(f"\r\x1b[K{line}")
+            columns = shutil.get_terminal_size().columns  # a line that wraps cannot be redrawn
+            self._stream.write(f"\r\x1b[K{line[: columns - 1]}")
             self._stream.flush()
         elif time.monotonic() >= self._next_s:
             self._next_s += PLAIN_S
