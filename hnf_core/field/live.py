@@ -31,7 +31,6 @@ from .live_emission import LiveEmission
 from .live_noise import LiveNoise
 from .live_state import LiveState
 from .modulation import lagrange
-from .rendering import render_weights
 from .synthesis import AFTER_CONTACT_S
 from .timeline import SAMPLES_PER_STATE
 
@@ -87,7 +86,9 @@ class LiveSynthesis:
         self._noise = LiveNoise(self._carriers, seed)
         self._pressing = LivePressing(mechanics, probe)
         self._kappa = self._carriers.arc_centres()
-        self._past: deque[tuple[Float, Float]] = deque(maxlen=field.config.stride * (field.config.states - 1) + 1)
+        memory = field.config.stride * (field.config.states - 1) + 1
+        self._past = np.zeros((memory, self._carriers.count)), np.zeros((memory, field.config.states))
+        self._states = 0
         self._places: deque[float] = deque(maxlen=4)
         self._amplitude, self._audible, self._air = np.zeros(self._carriers.count), 0.0, 0
         self._sample = -SAMPLES_PER_STATE
@@ -131,14 +132,16 @@ class LiveSynthesis:
     def _accumulated(self, state: LiveState) -> Float:
         """(K,) Σ_n w_n α of the past states; as field.accumulate."""
         config, direction = self._config, np.array(state.direction)
-        now = self._emission[state.material].at(direction, state.speed, state.force, state.contact)
-        if not self._past:
-            silent = np.zeros_like(now[0]), now[1]
-            self._past.extend([silent] * (self._past.maxlen or 1))
-        self._past.append(now)
-        states = [self._past[-1 - config.stride * n] for n in range(config.states)]
-        sigma = np.array([sigma[n] for n, (_, sigma) in enumerate(states)])
-        return np.asarray(render_weights(sigma) @ np.stack([alpha for alpha, _ in states]))
+        alpha, sigma = self._emission[state.material].at(direction, state.speed, state.force, state.contact)
+        if self._states == 0:
+            self._past[1][:] = sigma  # before the first state nothing was emitted, as densely as then
+        rows = (self._states - config.stride * np.arange(config.states)) % len(self._past[0])
+        self._past[0][rows[0]], self._past[1][rows[0]] = alpha, sigma
+        self._states += 1
+        density = self._past[1][rows, np.arange(config.states)]
+        # rendering.render_weights, whose sums in pairs no handful of states needs.
+        weights = np.exp(density - np.cumsum(density)) * -np.expm1(-density)
+        return np.asarray(weights @ self._past[0][rows])
 
     def _heard(self, contact: bool) -> Float | None:
         """Fade of this stretch, or None where it is silent."""
@@ -180,7 +183,7 @@ class LiveSynthesis:
         cell, t = floor.astype(np.int64), place - floor
         low, high = cell.min(axis=1) - 1, cell.max(axis=1) + 3
         offset = np.concatenate([[0], np.cumsum(high - low)])
-        mixed = np.empty((2, offset[-1]))
+        mixed = np.empty((2, offset[-1]), dtype=np.float32)
         for row, octave in enumerate(active):
             chain, span = noise.octaves[octave], slice(offset[row], offset[row + 1])
             mixed[:, span] = chain.mixed(pair[:, octave], int(low[row]), int(high[row] - low[row]))

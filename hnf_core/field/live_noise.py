@@ -58,9 +58,15 @@ class Chain:
         """Blocks in memory."""
         return len(self._ready) + (self._making is not None)
 
-    def mixed(self, weights: Single, first: int, count: int) -> Float:
+    def mixed(self, weights: Single, first: int, count: int) -> Single:
         """weights (m, B) @ samples first … first + count − 1 of the bands; (m, count)."""
-        out = np.zeros((len(weights), count))
+        start = first % self.hop
+        if start + count <= self.hop:  # nearly always: no border in it
+            block, stop = first // self.hop, start + count
+            part = weights @ self._block(block)[:, start:stop]
+            part += weights @ self._block(block - 1)[:, start + self.hop : stop + self.hop]
+            return part
+        out = np.zeros((len(weights), count), dtype=np.float32)
         place, last = first, first + count
         while place < last:
             block = place // self.hop
