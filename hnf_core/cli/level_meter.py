@@ -12,7 +12,7 @@ from ..actuators.report import StreamReport
 
 LOWEST_DB = -60.0
 PLAIN_S = 5.0
-WIDTH = 15
+WIDTH = 12
 
 
 class LevelMeter:

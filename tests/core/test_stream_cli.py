@@ -177,17 +177,17 @@ def test_the_meter_redraws_one_line_on_a_terminal(noise: Path) -> None:
     assert len(lines) > 3
     assert "\n" not in said.decode()
     assert lines[-1] == ""
-    assert re.search(r"of 0\.4 s  [█·]{15} .* m/s²  underruns \d+  limited \d+", lines[-2])
+    assert re.search(r"of 0\.4 s  [█·]{12} .* m/s²  underruns \d+  limited \d+", lines[-2])
 
 
 def test_a_meter_shows_the_level_against_the_limit() -> None:
     def bar(level: float) -> str:
         return meter_line(StreamReport(level_m_s2=level, underruns=3, limited_samples=7), 30.0, None)
 
-    assert "█" * 15 + "    0 dB  30.00 m/s²  underruns 3  limited 7" in bar(30.0)
-    assert "█" * 10 + "·" * 5 + "  -20 dB   3.00 m/s²" in bar(3.0)
-    assert "·" * 15 + "  silent   0.00 m/s²" in bar(0.0)
-    assert "·" * 15 + "  silent" in bar(1e-9)
+    assert "█" * 12 + "    0 dB  30.00 m/s²  underruns 3  limited 7" in bar(30.0)
+    assert "█" * 8 + "·" * 4 + "  -20 dB   3.00 m/s²" in bar(3.0)
+    assert "·" * 12 + "  silent   0.00 m/s²" in bar(0.0)
+    assert "·" * 12 + "  silent" in bar(1e-9)
     assert len(meter_line(StreamReport(played_s=599.9, level_m_s2=30.0, limited_samples=12345), 30.0, 600.0)) < 80
 
 
