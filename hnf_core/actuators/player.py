@@ -81,8 +81,10 @@ class Playing:
 
     def status(self) -> Status:
         report = self.stream.report
-        made = 0.0
-        if isinstance(self.source, Recorded):
+        made, latency_ms = 0.0, report.latency_p99_ms
+        if isinstance(self.source, Live):
+            latency_ms += self.source.latency_p99_ms
+        else:
             owed_s = min(max(report.frames / self.device.rate_hz - report.played_s, 0.0), self._queue_s)
             made = self.source.position_s - (owed_s + self.ahead_s if report.state == "playing" else 0.0)
         return Status(
@@ -95,7 +97,7 @@ class Playing:
             report.limited_samples,
             report.nonfinite_samples,
             report.played_s,
-            report.latency_p99_ms,
+            latency_ms,
             report.temperature_c,
             " ".join(report.problem.split()),
         )
