@@ -7,6 +7,7 @@ that nobody could foresee (a jump) is made at once. Blocks are kept as float32, 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from functools import lru_cache
 
@@ -48,7 +49,8 @@ class Chain:
         self.edges = edges
         self.key, self.size, self.hop, self.bands = (seed, stream), size, size // 2, len(edges) - 1
         self.starts = np.clip(np.ceil(edges).astype(int), 1, size // 2).tolist()
-        self.window = crossfade_window(size)
+        self.window = crossfade_window(size).astype(np.float32)
+        self.spectrum = np.zeros(size // 2 + 1, dtype=np.complex128)
         self.owed, self.at_once = 0.0, 0
         self._ready: dict[int, Single] = {}
         self._making: _Making | None = None
@@ -140,9 +142,11 @@ class _Making:
         first, low, high = (chain.starts[at] for at in (band - band % _AT_ONCE, band, band + 1))
         if band == band - band % _AT_ONCE:
             self._white = white_bins(self._raw, first, chain.starts[min(band + _AT_ONCE, chain.bands)])
-        spectrum = np.zeros(high, dtype=np.complex128)
-        spectrum[low:] = self._white[low - first : high - first] * (chain.size / np.sqrt(4.0 * (high - low)))
-        np.multiply(np.fft.irfft(spectrum, chain.size), chain.window, out=self.waves[band], casting="same_kind")
+        factor, spectrum, wave = chain.size / math.sqrt(4.0 * (high - low)), chain.spectrum, self.waves[band]
+        np.multiply(self._white[low - first : high - first], factor, out=spectrum[low:high])
+        wave[:] = np.fft.irfft(spectrum, chain.size)
+        wave *= chain.window
+        spectrum[low:high] = 0.0
 
 
 def raw_words(seed: int, stream: int, block: int, bins: int) -> NDArray[np.uint64]:
