@@ -140,7 +140,8 @@ class Status:
 
     state: playing, paused, ended (nothing plays any more). position_s: into the recording, of what sounds now.
     level_m_s2: RMS now. peak: largest that left, 0–1 of full scale. limited, nonfinite: samples that the limiter
-    changed. latency_p99_ms: from asking for a block, or from the hand's move, until the device had it. problem: why it ended, "" = it was over or was stopped.
+    changed. latency_p99_ms: from asking for a block, or from the hand's move, until the device had it. problem: why it
+    ended, "" = it was over or was stopped.
     """
 
     play: int

@@ -109,3 +109,13 @@ def test_devices_are_listed_or_it_is_said_why_not(monkeypatch: pytest.MonkeyPatc
     assert [line.partition(":")[0] for line in found.missing] == ["serial ports", "sound outputs"]
     assert "pip install pyserial" in found.missing[0]
     assert "pip install sounddevice" in found.missing[1]
+
+
+def test_without_portaudio_the_system_s_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As sounddevice itself says it."""
+    (tmp_path / "sounddevice.py").write_text("raise OSError('PortAudio library not found')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "sounddevice", raising=False)
+    (line,) = (line for line in devices().missing if line.startswith("sound outputs"))
+    assert "PortAudio library not found" in line
+    assert "apt install libportaudio2" in line
