@@ -7,6 +7,7 @@ they start at t = 0. Force has nothing up there; what is left is a delay of a qu
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -21,78 +22,80 @@ from .timeline import SAMPLES_PER_STATE, smooth
 
 Float = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
-Blend = dict[int, float]
-"""Load level → its share."""
+Blend = tuple[tuple[float, Mechanics, int], ...]
+"""Shares of responses: of what, at which load level."""
 
 _GRID = 8192
-_SIZE = 4096
-"""Of the fast convolution: the newest block is free of wrap-around where TAIL + a block fit."""
-_ROUNDING = 1e-12
-"""Of the spline, which gives a constant force back to some last bits."""
 _FLOOR, _FINE = 1e-3, 8
 HEAVIEST_OCTAVE = 4
 """Up to 16 N responses are made ready; a heavier hand's when it comes."""
 KEPT_RESPONSES = 512
 _SHARE = np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE
-# The spline between the second and the third of four states, at every sample.
-_BASIS = np.stack([smooth(unit, 1.0 + _SHARE) for unit in np.eye(4)], axis=1)
+# What one state of 1 N makes of the force: the spline between the second and the third of four states, oldest last.
+_BUMP = np.concatenate([smooth(unit, 1.0 + _SHARE) for unit in np.eye(4)[::-1]])
+STATES = -(-(TAIL + len(_BUMP) - 1) // SAMPLES_PER_STATE)
+"""That a sample is made from."""
 
 
 class LivePressing:
     """Force states in, acceleration of the probe out, two states later: one that every state waits for the next, and
-    one that the spline of the force (timeline.smooth) needs beyond it."""
+    one that the spline of the force (timeline.smooth) needs beyond it.
+
+    Spline and response are both linear, so that what every past state still gives is known beforehand: a step is a
+    product of STATES forces and a table.
+    """
 
     def __init__(self, mechanics: Sequence[Mechanics], probe: str) -> None:
         self._mechanics, self._probe = tuple(mechanics), PROBES[probe]
         levels = range(LIGHTEST_OCTAVE * LOADS_PER_OCTAVE, HEAVIEST_OCTAVE * LOADS_PER_OCTAVE + 1)
         for each in dict.fromkeys(self._mechanics):
             for level in levels:
-                _spectrum(each, self._probe, level)
-        self._history = np.zeros(TAIL + SAMPLES_PER_STATE)
+                _given_later(each, self._probe, level)
+        self._states = np.zeros(STATES)
         self.forget()
 
     def forget(self) -> None:
         """As if nothing had ever pressed."""
-        self._history[:] = 0.0
-        self._states = np.zeros(4)
-        self._blend: tuple[Spectrum | None, Spectrum | None] = None, None
+        self._states[:] = 0.0
+        self._blends: tuple[Blend, Blend] = (), ()
 
     def step(self, force: float, material: int) -> Float:
-        """(SAMPLES_PER_STATE,) m/s². force: N, 0 in the air. Exactly 0 where force has not changed for TAIL samples."""
-        self._states = np.append(self._states[1:], force)
-        before, now = self._blend
-        self._blend = now, self._response(force, material)
-        history = self._history
-        history[:-SAMPLES_PER_STATE] = history[SAMPLES_PER_STATE:]
-        history[-SAMPLES_PER_STATE:] = _BASIS @ self._states
-        highest = history.max()
-        if now is None or highest - history.min() <= _ROUNDING * highest:
+        """(SAMPLES_PER_STATE,) m/s². force: N, 0 in the air. Exactly 0 where force has not changed for STATES."""
+        states = self._states
+        states[1:] = states[:-1].copy()
+        states[0] = force
+        before, now = self._blends
+        self._blends = now, self._blend(force, material)
+        if not now or states.min() == states.max():
             return np.zeros(SAMPLES_PER_STATE)
-        spectrum = np.fft.rfft(history, _SIZE)
-        rendered = self._newest(spectrum * now)
-        if before is None or before is now:
+        rendered = self._rendered(now)
+        if not before or before == now:
             return rendered
-        return np.asarray(self._newest(spectrum * before) * (1.0 - _SHARE) + rendered * _SHARE)
+        return np.asarray(self._rendered(before) * (1.0 - _SHARE) + rendered * _SHARE)
 
-    def _response(self, force: float, material: int) -> Spectrum:
-        """The two responses next to this load, blended."""
-        lightest = 2.0**LIGHTEST_OCTAVE
-        place = LOADS_PER_OCTAVE * np.log2(max(force, lightest))
-        level, mechanics = int(np.floor(place)), self._mechanics[material]
-        share = float(place - level)
-        lower = _spectrum(mechanics, self._probe, level)
-        return lower if share == 0.0 else (1.0 - share) * lower + share * _spectrum(mechanics, self._probe, level + 1)
+    def _blend(self, force: float, material: int) -> Blend:
+        """The two responses next to this load."""
+        place = LOADS_PER_OCTAVE * math.log2(max(force, 2.0**LIGHTEST_OCTAVE))
+        level, mechanics = math.floor(place), self._mechanics[material]
+        share = place - level
+        upper = ((share, mechanics, level + 1),) if share > 0.0 else ()
+        return ((1.0 - share, mechanics, level), *upper)
 
-    @staticmethod
-    def _newest(product: Spectrum) -> Float:
-        return np.asarray(np.fft.irfft(product, _SIZE)[TAIL : TAIL + SAMPLES_PER_STATE])
+    def _rendered(self, blend: Blend) -> Float:
+        out = np.zeros(SAMPLES_PER_STATE)
+        for share, mechanics, level in blend:
+            out += share * (self._states @ _given_later(mechanics, self._probe, level))
+        return out
 
 
 @lru_cache(maxsize=KEPT_RESPONSES)
-def _spectrum(mechanics: Mechanics, probe: Probe, level: int) -> Spectrum:
-    spectrum = np.fft.rfft(causal_response(mechanics, probe, 2.0 ** (level / LOADS_PER_OCTAVE)), _SIZE)
-    spectrum.setflags(write=False)
-    return np.asarray(spectrum)
+def _given_later(mechanics: Mechanics, probe: Probe, level: int) -> Float:
+    """(STATES, SAMPLES_PER_STATE): what 1 N in a state gives in the steps from its own on."""
+    kernel = causal_response(mechanics, probe, 2.0 ** (level / LOADS_PER_OCTAVE))
+    whole = np.fft.irfft(np.fft.rfft(kernel, _GRID) * np.fft.rfft(_BUMP, _GRID), _GRID)[: STATES * SAMPLES_PER_STATE]
+    table = whole.reshape(STATES, SAMPLES_PER_STATE)
+    table.setflags(write=False)
+    return np.asarray(table)
 
 
 def causal_response(mechanics: Mechanics, probe: Probe, force: float) -> Float:
