@@ -39,7 +39,7 @@ class HNF_OT_export(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # 
         return True
 
     def execute(self, context: Any) -> set[str]:
-        from hnf_core.export.haptic import CLIPPED
+        from hnf_core.export.shares import CLIPPED
 
         from ..preview.facts import PREVIEW
         from ..preview.losses import loss_sentence

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from .facts import PREVIEW
 
@@ -12,6 +15,9 @@ if TYPE_CHECKING:
 
 SCRUB_S = 0.06
 """Of a stroke that is felt where the playhead is dragged to, or a frame where that is longer."""
+
+LINGER_S = 1.0
+"""How long the device stays open after the playhead has moved: to take one takes longer than to move on."""
 
 
 class Follower:
@@ -73,10 +79,11 @@ class Follower:
             return
         frames = max(1.0, SCRUB_S * scene.render.fps / scene.render.fps_base)
         moment = sound_ahead(scene, float(scene.frame_current_final) + frames - 1.0)
-        if moment is not None:
-            PREVIEW.sounding = ""
-            with contextlib.suppress(HnfError):
-                PLAYER.play(moment)
+        if moment is None:
+            return
+        PREVIEW.sounding = ""
+        with contextlib.suppress(HnfError):
+            PLAYER.play(lingering(moment))
 
 
 FOLLOWER = Follower()
@@ -91,6 +98,12 @@ def sound_ahead(scene: Any, last_frame: float) -> Sound | None:
     placed = placed_strokes(scene)
     samples = mix(placed, float(scene.frame_current_final), last_frame, clock)
     return sound_of(samples, placed[0].rate, scene) if len(samples) else None
+
+
+def lingering(moment: Sound) -> Sound:
+    """A moment and the silence after it, in which the device stays open for the next."""
+    quiet = np.zeros(round(LINGER_S * moment.rate), dtype=np.float32)
+    return replace(moment, samples=np.concatenate([moment.samples, quiet]))
 
 
 def placed_strokes(scene: Any) -> list[Any]:

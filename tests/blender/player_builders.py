@@ -26,7 +26,14 @@ def tone(seconds: float = 0.5, level: float = 2.0, **settings) -> Sound:
 
 def until(link: Link, so: Callable[[], object]) -> bool:
     """Tick as the timer does until it is so."""
-    end = time.monotonic() + LIMIT_S
+    found = until_for(link, LIMIT_S, so)
+    if not found:
+        print(f"{link.problem=}, {link.is_playing=}, {link.began=}, {link.heard=}")
+    return found
+
+
+def until_for(link: Link, seconds: float, so: Callable[[], object]) -> bool:
+    end = time.monotonic() + seconds
     while time.monotonic() < end:
         link.tick()
         if so():

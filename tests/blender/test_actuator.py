@@ -14,11 +14,11 @@ import bpy
 import numpy as np
 import pytest
 from job_scene import is_gone
-from player_builders import RATE_HZ, chosen, tone, until
+from player_builders import RATE_HZ, chosen, tone, until, until_for
 
-from hnf_blender.actuator import link as link_module
+from hnf_blender.actuator import channel
 from hnf_blender.actuator.facts import facts_of, phase_of
-from hnf_blender.actuator.link import Link, where_of
+from hnf_blender.actuator.link import AGAIN, Link, where_of
 from hnf_blender.actuator.process import commands
 from hnf_blender.actuator.state import VIRTUAL, Phase
 from hnf_blender.actuator.sweep import SHARE, sweep
@@ -113,6 +113,29 @@ def test_what_ends_in_the_moment_of_a_change_is_begun_anew(link) -> None:
     assert link.is_playing
 
 
+def test_asked_for_while_the_device_is_taken_the_newest_alone_is_played(link) -> None:
+    for level in (1.0, 2.0, 3.0, 8.0):
+        link.play(tone(2.0, level=level))
+    assert until(link, lambda: link.newest is not None and link.newest.status.level_m_s2 > 4.0)
+    assert link.newest.status.play == link.began.play == 1
+    link.play(tone(2.0))
+    link.stop()
+    assert until(link, lambda: link.newest.status.state == "ended")
+    time.sleep(0.2)
+    link.tick()
+    assert not link.is_playing
+
+
+def test_stopped_in_the_moment_of_a_change_it_stays_silent(link) -> None:
+    link.play(tone(0.3))
+    assert until(link, lambda: link.is_sounding)
+    time.sleep(1.5)  # it ends; nobody listens
+    link.change(tone(1.0))
+    link.stop()
+    assert not until_for(link, 1.0, lambda: link.is_playing)
+    assert link.problem == ""
+
+
 def test_another_rate_loop_or_device_is_begun_anew(link) -> None:
     link.play(tone(3.0))
     assert until(link, lambda: link.position_s > 0.1)
@@ -138,9 +161,9 @@ def test_a_killed_process_is_told_in_one_sentence_and_begun_anew(link) -> None:
     assert until(link, lambda: not link.is_running)
     assert not link.is_playing
     assert "was killed (signal 9)" in link.problem
-    assert link_module.AGAIN in link.problem
+    assert AGAIN in link.problem
     assert facts_of(link, GENERIC).problem == link.problem
-    assert not folder.exists()
+    assert until(link, lambda: not folder.exists())
     link.play(tone(0.3))
     assert link.problem == ""
     assert until(link, lambda: link.is_sounding)
@@ -167,14 +190,14 @@ def test_a_sound_that_cannot_be_written_is_told(link) -> None:
 
 
 def test_a_python_that_cannot_is_followed_by_one_that_can(link, monkeypatch) -> None:
-    monkeypatch.setattr(link_module, "commands", lambda *_: ([sys.executable, "-c", "exit(4)"], *commands(*_)))
+    monkeypatch.setattr(channel, "commands", lambda *_: ([sys.executable, "-c", "exit(4)"], *commands(*_)))
     link.play(tone(0.3))
     assert until(link, lambda: link.is_sounding)
     assert link.problem == ""
 
 
 def test_what_cannot_be_started_is_said_and_leaves_nothing(link, monkeypatch) -> None:
-    monkeypatch.setattr(link_module, "commands", lambda *_: (["/no/such/python"],))
+    monkeypatch.setattr(channel, "commands", lambda *_: (["/no/such/python"],))
     with pytest.raises(DeviceError, match=r"/no/such/python.*could not be started"):
         link.play(tone(0.3))
     assert not link.is_playing
