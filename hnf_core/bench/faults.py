@@ -42,7 +42,7 @@ def faults_of(kind: Kind, outcome: Outcome) -> list[str]:
         f"{len(outcome.messages)} messages": len(outcome.messages) == kind.told,
         f"{outcome.beyond} counts beyond limits": outcome.beyond == 0,
         "hung": not outcome.hung,
-        "does not start again": outcome.again,
+        f"does not start again ({outcome.not_again})": not outcome.not_again,
         "played on" if outcome.played_on else "did not play on": outcome.played_on == kind.survives,
     }
     return [broken for broken, kept in promises.items() if not kept]

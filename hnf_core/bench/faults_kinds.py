@@ -17,7 +17,7 @@ from ..actuators.sinks.serial import SerialSink
 from ..actuators.virtual.device import Abilities, VirtualDevice
 from ..errors import DeviceError
 from .faults_process import killed, slept_briefly, slept_long
-from .faults_rig import RATE_HZ, Outcome, Rig, seconds
+from .faults_rig import RATE_HZ, Outcome, Rig, Since, seconds
 
 Trial = Callable[[Rig], Outcome]
 
@@ -38,7 +38,7 @@ def unplugged(rig: Rig) -> Outcome:
     rig.play_for_a_while()
     outcome = rig.ended(rig.strike(rig.port.unplug))
     rig.port.plug()
-    return replace(outcome, again=rig.starts_again())
+    return replace(outcome, not_again=rig.again())
 
 
 def unplugged_while_opened(rig: Rig) -> Outcome:
@@ -57,7 +57,7 @@ def unplugged_while_opened(rig: Rig) -> Outcome:
     else:
         outcome = rig.ended(struck[0])
     rig.port.plug()
-    return replace(outcome, again=rig.starts_again())
+    return replace(outcome, not_again=rig.again())
 
 
 def stops_reading(rig: Rig) -> Outcome:
@@ -69,7 +69,7 @@ def stops_reading(rig: Rig) -> Outcome:
     rig.play_for_a_while()
     outcome = rig.ended(rig.strike(lambda: deafen(True)))
     deafen(False)
-    return replace(outcome, again=rig.starts_again())
+    return replace(outcome, not_again=rig.again())
 
 
 def damaged(share: float, to_device: bool, to_host: bool) -> Trial:
@@ -108,7 +108,7 @@ def _on_the_wire(
     ends: bool,
     gets_through: bool = False,
 ) -> Outcome:
-    """gets_through: enough to play on until the host knows; silence counts from then."""
+    """gets_through: enough to play on until the host knows."""
 
     def lay(now: Callable[[bytes], bytes]) -> None:
         if to_device:
@@ -123,10 +123,11 @@ def _on_the_wire(
         with rig.port.standing():
             lay(bytes)
         return rig.stopped()
-    outcome = rig.ended(struck, from_notice=gets_through)
+    since = Since.NOTICE if gets_through else Since.FAULT if to_device else Since.SAMPLES
+    outcome = rig.ended(struck, since)
     with rig.port.standing():
         lay(bytes)
-    return replace(outcome, again=rig.starts_again())
+    return replace(outcome, not_again=rig.again())
 
 
 def wrong_version(rig: Rig) -> Outcome:
@@ -150,22 +151,22 @@ def wrong_version(rig: Rig) -> Outcome:
     sounded = rig.device.sounded
     rig.strike(lambda: other(1))
     named = all("version 1" in words and "version 2" in words for words in told)
-    return Outcome(sounded / RATE_HZ, told if named else (*told, "does not name both"), again=rig.starts_again())
+    return Outcome(sounded / RATE_HZ, told if named else (*told, "does not name both"), not_again=rig.again())
 
 
 def rate_lie(rig: Rig) -> Outcome:
-    """The sample clock is off by a tenth or more, to either side. Silence counts from when the host knows."""
+    """The sample clock is off by a tenth or more, to either side."""
 
     def pace(speed: float) -> None:
         rig.port.speed = speed
 
     rig.play_for_a_while()
     off = float(rig.rng.choice([-1.0, 1.0]) * rig.rng.uniform(0.1, 0.3))
-    outcome = rig.ended(rig.strike(lambda: pace(1.0 + off)), from_notice=True)
+    outcome = rig.ended(rig.strike(lambda: pace(1.0 + off)), Since.NOTICE)
     pace(1.0)
     named = all(f"{RATE_HZ} Hz" in words for words in outcome.messages)
     told = outcome.messages if named else (*outcome.messages, "does not name the rate")
-    return replace(outcome, messages=told, again=rig.starts_again())
+    return replace(outcome, messages=told, not_again=rig.again())
 
 
 def second_program(rig: Rig) -> Outcome:
@@ -180,8 +181,7 @@ def second_program(rig: Rig) -> Outcome:
 
 
 def second_program_without_a_lock(rig: Rig) -> Outcome:
-    """Another program does not ask: it says HELLO and START and sends samples into ours. Silence counts from when the
-    host knows."""
+    """Another program does not ask: it says HELLO and START and sends samples into ours."""
     rig.play_for_a_while()
     encoder = Encoder()
     loud = np.full((32, 1), 30_000, dtype=np.int16)
@@ -196,7 +196,7 @@ def second_program_without_a_lock(rig: Rig) -> Outcome:
         finally:
             os.close(port)
 
-    return replace(rig.ended(rig.strike(intrude), from_notice=True), again=rig.starts_again())
+    return replace(rig.ended(rig.strike(intrude), Since.NOTICE), not_again=rig.again())
 
 
 def short_writes(rig: Rig) -> Outcome:
@@ -223,7 +223,7 @@ def write_that_ends_short(rig: Rig) -> Outcome:
     with _system_write(write):
         rig.play_for_a_while()
         outcome = rig.ended(rig.strike(lambda: budget.append(int(rig.rng.integers(1, 40)))))
-    return replace(outcome, again=rig.starts_again())
+    return replace(outcome, not_again=rig.again())
 
 
 @contextmanager

@@ -28,7 +28,10 @@ class Child:
         package = str(__package__)
         root = Path(__file__).parents[package.count(".") + 1]
         command = [sys.executable, "-m", f"{package}.faults_child", port]
-        self.process = subprocess.Popen(command, cwd=root, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0)
+        # A session of its own: when a shell above us ends, the system continues what is stopped in ours.
+        self.process = subprocess.Popen(
+            command, cwd=root, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, start_new_session=True
+        )
         self.heard: list[dict[str, object]] = []
         self._rest = b""
 
@@ -85,7 +88,7 @@ def killed(rig: Rig) -> Outcome:
         struck = rig.strike(child.process.kill)
         hung = not rig.quiet()
         outcome = Outcome(seconds(rig.device.sounded - struck), child.problems, None, rig.beyond(), hung)
-    return replace(outcome, again=rig.starts_again())
+    return replace(outcome, not_again=rig.again())
 
 
 def slept_briefly(rig: Rig) -> Outcome:
@@ -97,7 +100,7 @@ def slept_briefly(rig: Rig) -> Outcome:
         hung |= not rig.quiet()
         silent = max(silent, seconds(rig.device.sounded - struck))
         outcome = Outcome(silent, child.problems, None, rig.beyond(), hung, played_on=played_on)
-    return replace(outcome, again=rig.starts_again())
+    return replace(outcome, not_again=rig.again())
 
 
 def slept_long(rig: Rig) -> Outcome:
@@ -108,7 +111,7 @@ def slept_long(rig: Rig) -> Outcome:
         hung |= not child.tells(2, HANG_S) or not rig.quiet()
         after = rig.device.sounded - woke
         outcome = Outcome(max(silent, seconds(after)), child.problems, None, rig.beyond(), hung)
-    return replace(outcome, again=rig.starts_again())
+    return replace(outcome, not_again=rig.again())
 
 
 def _sleep(rig: Rig, child: Child, for_s: float) -> tuple[float, bool]:

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum
 from types import TracebackType
 
 import numpy as np
@@ -35,18 +36,27 @@ QUIET_S = 0.04
 
 @dataclass(frozen=True)
 class Outcome:
-    """silent_s: by the device's sample clock, from the fault to the last frame that was no silence. messages: that a
-    person gets. noticed_s: from the fault until the host knew, None where it did not. beyond: counts past peak or slew.
-    hung: something did not come to its end. again: the stream can be started again. played_on: the stream was not
-    ended by it."""
+    """silent_s: by the device's sample clock, from the fault (see Since) to the last frame that was no silence.
+    messages: that a person gets. noticed_s: from the fault until the host knew, None where it did not. beyond: counts
+    past peak or slew. hung: something did not come to its end. not_again: why the stream cannot be started again, or
+    "". played_on: the stream was not ended by it."""
 
     silent_s: float
     messages: tuple[str, ...]
     noticed_s: float | None = None
     beyond: int = 0
     hung: bool = False
-    again: bool = True
+    not_again: str = ""
     played_on: bool = False
+
+
+class Since(Enum):
+    """FAULT: nothing gets to the device any more. SAMPLES: the last of them, for the host may send what it still has
+    credit for. NOTICE: when the host knew, for until then all goes on."""
+
+    FAULT = 0
+    SAMPLES = 1
+    NOTICE = 2
 
 
 class WatchedSink(SerialSink):
@@ -111,15 +121,15 @@ class Rig:
             fault()
             return device.clock
 
-    def ended(self, struck: int, *, from_notice: bool = False) -> Outcome:
-        """The stream's end by itself. from_notice: silence is counted from when the host knew, not from the fault."""
+    def ended(self, struck: int, since: Since = Since.FAULT) -> Outcome:
+        """The stream's end by itself. since: what silence is counted from."""
         assert self.stream is not None
         assert self.sink is not None
         hung = not self.stream.wait(HANG_S) or not self.quiet()
         noticed, problem = self.sink.noticed, self.stream.report.problem
-        since = noticed if from_notice and noticed is not None else struck
+        begin = {Since.FAULT: struck, Since.SAMPLES: max(struck, self.device.sampled), Since.NOTICE: noticed or struck}
         return Outcome(
-            seconds(self.device.sounded - since),
+            seconds(self.device.sounded - begin[since]),
             (*((problem,) if problem else ()), *self._strays),
             None if noticed is None else seconds(noticed - struck),
             self.beyond(),
@@ -135,20 +145,20 @@ class Rig:
         hung = not self.stream.wait(HANG_S) or not self.quiet()
         problem = self.stream.report.problem
         told = (*messages, *((problem,) if problem else ()), *self._strays)
-        return Outcome(
-            seconds(self.device.sounded - struck), told, None, self.beyond(), hung, self.starts_again(), played_on
-        )
+        return Outcome(seconds(self.device.sounded - struck), told, None, self.beyond(), hung, self.again(), played_on)
 
-    def starts_again(self) -> bool:
-        """A new stream, on the same path, plays; and is stopped."""
+    def again(self) -> str:
+        """A new stream, on the same path, plays; and is stopped. Why not, or nothing."""
         try:
             self.play()
-        except HnfError:
-            return False
+        except HnfError as error:
+            return str(error)
         assert self.stream is not None
         plays = self.reach(RATE_HZ // 40)
         self.stream.stop()
-        return plays and not self.stream.report.problem and self.quiet()
+        if problem := self.stream.report.problem:
+            return problem
+        return "" if plays and self.quiet() else "silent, or not silent, for too long"
 
     def quiet(self) -> bool:
         """Wait until nothing has sounded for a while."""

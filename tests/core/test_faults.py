@@ -36,7 +36,7 @@ GOOD = Outcome(0.015, ("said once",))
         (replace(GOOD, messages=("one", "two")), "2 messages"),
         (replace(GOOD, beyond=1), "1 counts beyond limits"),
         (replace(GOOD, hung=True), "hung"),
-        (replace(GOOD, again=False), "does not start again"),
+        (replace(GOOD, not_again="busy"), "does not start again (busy)"),
         (replace(GOOD, played_on=True), "played on"),
     ],
 )

@@ -177,6 +177,21 @@ def test_a_bridge_is_straight_and_between_its_ends(one: int, other: int, gap: in
     assert np.all((line >= min(one, other)) & (line <= max(one, other)))
 
 
+def test_samples_behind_a_damaged_length_come_too_late_and_a_stop_does_not() -> None:
+    """The decoder waits for the rest of a message that never was so long; 20 ms later it looks at what it has."""
+    for late, state in ((Samples.of(1, 60, loud(60)), State.WAITING), (Stop(), State.READY)):
+        host = Host()
+        host.begins()
+        host.sends(0, loud(60))
+        encoder = Encoder()
+        damaged = bytearray(encoder.encode(Samples.of(1, 60, loud(8))))
+        damaged[5] = 7
+        host.device.receive(bytes(damaged) + encoder.encode(late))
+        host.device.advance(RATE)
+        assert host.device.sounded <= 0.020 * RATE
+        assert host.device.state is state
+
+
 def test_credit_comes_every_two_milliseconds_and_is_true() -> None:
     host = Host()
     host.begins()

@@ -267,6 +267,12 @@ static void handle(void *context, uint8_t type, const uint8_t *payload, uint16_t
     }
 }
 
+/* Held back behind a damaged length: too old to be played, and not too old to stop. */
+static void handle_late(void *context, uint8_t type, const uint8_t *payload, uint16_t length)
+{
+    if (type != HNF_SAMPLES) handle(context, type, payload, length);
+}
+
 /* ---- the main loop ---- */
 
 void hnf_device_init(hnf_device *device, const hnf_config *config)
@@ -283,7 +289,7 @@ void hnf_device_receive(hnf_device *device, const uint8_t *bytes, size_t count, 
 {
     device->now = now_us;
     if (device->decoder.count > 0 && now_us - device->heard >= HNF_IDLE_US)
-        hnf_decoder_idle(&device->decoder, handle, device);
+        hnf_decoder_idle(&device->decoder, handle_late, device);
     if (count > 0) device->heard = now_us;
     hnf_decoder_feed(&device->decoder, bytes, count, handle, device);
 }

@@ -13,7 +13,7 @@ PIECE_S = 0.01
 
 SOONEST_S = 1.0
 WINDOW_S = 10.0
-CONVINCED_S = 0.1
+CONVINCED_S = 0.5
 """How long it must look wrong."""
 
 

@@ -27,7 +27,7 @@ from ..protocol.messages import (
     frames_per_message,
 )
 from ..sink import Counts, SinkFormat, SinkStatus
-from .serial_port import WRITE_S, gone, open_port
+from .serial_port import gone, open_port
 from .serial_session import RESTART, Session
 
 BAUDRATE = 3_000_000
@@ -84,7 +84,7 @@ class SerialSink:
         self._reader: threading.Thread | None = None
         self._closing = threading.Event()
         self._encoder = Encoder()
-        self._rate_hz, self._last_tick_s, self._nudged_s = 0, 0.0, 0.0
+        self._rate_hz, self._last_tick_s, self._nudged_s, self._late = 0, 0.0, 0.0, 0
 
     def open(self) -> SinkFormat:
         """See Sink. Raises DeviceError where the port cannot be had, nobody answers, or the device cannot do it."""
@@ -253,15 +253,16 @@ class SerialSink:
         """START, until the first CREDIT of the session. Returns the frames that the device owes at most."""
         number, longest = secrets.randbelow(0xFFFF) + 1, int(LONGEST_QUEUE_S * self._rate_hz)
         peak, queue = min(self._peak, caps.peak), min(caps.queue, longest)
-        session, give_up, patience_s = self._session, self._clock() + BUSY_S, START_S
+        session, began, patience_s = self._session, self._clock(), START_S
         while session.credit is None:
             session.begin(number, self._rate_hz, self._clock())
             self._send(Start(self._rate_hz, self._channels, peak, number, self._slew, queue))
             self._changed.wait_for(self._started, patience_s)
             self._raise_problem()
-            if session.credit is None and self._clock() >= give_up:
+            busy = session.refused(Code.BUSY)
+            if session.credit is None and self._clock() - began >= (BUSY_S if busy else self._answer_s):
                 raise self._failed("the device does not start.", RESTART)
-            if session.refused(Code.BUSY):  # what was stopped still fades; it says so once only
+            if busy:  # what was stopped still fades; it says so once only
                 patience_s = START_BUSY_S
                 self._let_pass(START_BUSY_S)
         credit = session.credit
@@ -307,17 +308,18 @@ class SerialSink:
         """One write. Raises DeviceError where it cannot be done in time; the sink is then closed."""
         if self._serial is None:
             raise DeviceError("the port is not open.", where=self._port, remedy="Start again.")
-        data, began = b"".join(self._encoder.encode(message) for message in messages), self._clock()
+        data = b"".join(self._encoder.encode(message) for message in messages)
         try:
             self._serial.write(data)
+            self._late = 0
         except Exception as error:
-            if type(error).__name__ == "SerialTimeoutException":
-                # pyserial also says so when we were asleep meanwhile; what was lost then is bridged by the device.
-                if self._clock() - began > 2.0 * WRITE_S:
-                    return
-                self._session.fail("the device has stopped reading.", RESTART)
-            else:
+            if type(error).__name__ != "SerialTimeoutException":
                 self._session.problem = self._session.problem or gone(self._port, error)
+            else:
+                # pyserial says the same when we were asleep meanwhile. Once; what was lost then, the device bridges.
+                self._late += 1
+                if self._late > 1:
+                    self._session.fail("the device has stopped reading.", RESTART)
             self._raise_problem()
 
     def _check(self) -> None:
@@ -346,7 +348,7 @@ class SerialSink:
                         self._session.problem = self._session.problem or gone(self._port, error)
                     self._changed.notify_all()
                 return
-            messages = decoder.feed(data)
+            messages = decoder.feed(data) if data else decoder.idle()
             with self._changed:
                 now = self._clock()
                 self._stood_still(now)

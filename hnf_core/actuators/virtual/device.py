@@ -65,7 +65,7 @@ class VirtualDevice:
     """receive() bytes of the host, advance() the sample clock, take() bytes for the host. One thread.
 
     clock: frames that have passed since it was switched on, at whatever rate. sounded: clock after the last frame that
-    was no silence, 0 = none yet. rate_hz: of the stream, before one 8000.
+    was no silence, 0 = none yet. sampled: clock when samples came last. rate_hz: of the stream, before one 8000.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class VirtualDevice:
     ) -> None:
         """heard: gets every piece that is no silence: the clock at its first frame, the rate, (n, channels) counts."""
         self.abilities, self.transducer = abilities or Abilities(), transducer
-        self.clock, self.sounded, self.rate_hz = 0, 0, 8000
+        self.clock, self.sounded, self.sampled, self.rate_hz = 0, 0, 0, 8000
         self._heard = heard
         self._decoder, self._encoder, self._answer = Decoder(FROM_HOST), Encoder(), bytearray()
         self._mode, self._after = State.IDLE, State.IDLE
@@ -164,7 +164,9 @@ class VirtualDevice:
         out = self._playout
         if self.clock - self._fed > QUIET_S * self.rate_hz:
             for message in self._decoder.idle():
-                self._obey(message)
+                # Held back behind a damaged length: too old to be played, and not too old to stop.
+                if not isinstance(message, Samples):
+                    self._obey(message)
         if self.clock - self._since >= self.rate_hz // STATUS_HZ:
             self._warm_up()
         if self.temperature_c >= self.abilities.hot_c and self._mode is State.PLAYING:
@@ -290,6 +292,7 @@ class VirtualDevice:
         ahead = counts[0] if len(counts) else np.zeros_like(self._last)
         whole = np.concatenate([bridge(self._last, ahead, gap), counts])
         if len(whole):
+            self.sampled = self.clock
             out.push(whole)
             self._last = whole[-1]
         self._lost += gap
