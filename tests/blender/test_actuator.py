@@ -106,7 +106,7 @@ def test_what_ends_in_the_moment_of_a_change_is_begun_anew(link) -> None:
     """As when the old sound has ended in the process, and Blender does not know yet."""
     link.play(tone(0.3))
     assert until(link, lambda: link.is_sounding)
-    time.sleep(1.5)  # it ends; nobody listens
+    time.sleep(0.7)  # it ends; nobody listens
     assert link.is_playing
     link.change(tone(1.0, level=3.0))
     assert until(link, lambda: link.newest is not None and link.newest.status.level_m_s2 > 1.0)
@@ -129,7 +129,7 @@ def test_asked_for_while_the_device_is_taken_the_newest_alone_is_played(link) ->
 def test_stopped_in_the_moment_of_a_change_it_stays_silent(link) -> None:
     link.play(tone(0.3))
     assert until(link, lambda: link.is_sounding)
-    time.sleep(1.5)  # it ends; nobody listens
+    time.sleep(0.7)  # it ends; nobody listens
     link.change(tone(1.0))
     link.stop()
     assert not until_for(link, 1.0, lambda: link.is_playing)
