@@ -26,11 +26,13 @@ STEP_BEHIND = 1e-5
 
 @dataclass(frozen=True)
 class Hit:
-    """obj: what the ray met. local: (3,) in its coordinates. world: (3,). face: polygon of its evaluated mesh."""
+    """obj: what the ray met. local: (3,) in its coordinates. world, normal: (3,). face: polygon of its evaluated
+    mesh."""
 
     obj: Any
     local: Float
     world: Float
+    normal: Float
     face: int
 
 
@@ -49,12 +51,12 @@ def cast_on_surface(scene: Any, depsgraph: Any, viewport: Any, origin: Any, dire
 
     start = Vector(origin)
     for _ in range(LAYERS):
-        found, world, _, face, met, matrix = scene.ray_cast(depsgraph, start, direction)
+        found, world, normal, face, met, matrix = scene.ray_cast(depsgraph, start, direction)
         if not found:
             return None
         obj = met.original
         if _is_surface(obj, matrix, scene, depsgraph, viewport):
-            return Hit(obj, np.array(matrix.inverted_safe() @ world), np.array(world), int(face))
+            return Hit(obj, np.array(matrix.inverted_safe() @ world), np.array(world), np.array(normal), int(face))
         start = world + direction * max((world - Vector(origin)).length * STEP_BEHIND, 1e-7)
     return None
 

@@ -19,7 +19,7 @@ from hnf_core.material.prior import rank
 from hnf_core.material.token import TOKEN_DIM, Token
 
 from .drawn_stroke import Hit
-from .meshes import cofactors, materials_of, surface_frame
+from .meshes import materials_of, surface_frame
 from .own_material import own_word
 from .storage import TOKEN_ATTRIBUTE, read_tokens
 
@@ -42,24 +42,26 @@ def meeting(hit: Hit, depsgraph: Any, metres_per_unit: float) -> Meeting:
     """The place that a ray met. Raises SceneError where its object is scaled to nothing."""
     evaluated = hit.obj.evaluated_get(depsgraph)
     mesh = evaluated.data
-    _, stretch = surface_frame(evaluated.matrix_world, metres_per_unit, f"object '{hit.obj.name}'")
-    face = mesh.polygons[hit.face]
-    normal = cofactors(stretch) @ np.array(face.normal) * np.sign(np.linalg.det(stretch))
+    rigid, stretch = surface_frame(evaluated.matrix_world, metres_per_unit, f"object '{hit.obj.name}'")
+    normal = rigid[:3, :3].T @ hit.normal
     length = float(np.linalg.norm(normal))
     normal = normal / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
-    loops = list(face.loop_indices)[:3]
-    corners = np.array([mesh.vertices[mesh.loops[loop].vertex_index].co for loop in loops]) @ stretch.T
-    layer = next((layer for layer in mesh.uv_layers if layer.active_render), None)
-    uv = None if layer is None else np.array([[layer.uv[loop].vector for loop in loops]], dtype=np.float64)
+    corners, uv, slot, token = np.zeros((3, 3)), None, 0, -1
+    if hit.face < len(mesh.polygons):  # not so where a graphics card subdivides
+        face = mesh.polygons[hit.face]
+        loops = list(face.loop_indices)[:3]
+        corners = np.array([mesh.vertices[mesh.loops[loop].vertex_index].co for loop in loops]) @ stretch.T
+        layer = next((layer for layer in mesh.uv_layers if layer.active_render), None)
+        uv = None if layer is None else np.array([[layer.uv[loop].vector for loop in loops]], dtype=np.float64)
+        slot, token = int(face.material_index), _token_of(mesh, hit.face)
     (along,), _ = tangents(corners[None], uv, normal[None])
-    token = mesh.attributes.get(TOKEN_ATTRIBUTE)
-    is_kept = token is not None and token.domain == "FACE" and token.data_type == "INT"
-    return Meeting(
-        stretch @ hit.local,
-        np.stack([along, np.cross(normal, along)]),
-        int(face.material_index),
-        int(token.data[hit.face].value) if is_kept else -1,
-    )
+    return Meeting(stretch @ hit.local, np.stack([along, np.cross(normal, along)]), slot, token)
+
+
+def _token_of(mesh: Any, face: int) -> int:
+    kept = mesh.attributes.get(TOKEN_ATTRIBUTE)
+    is_kept = kept is not None and kept.domain == "FACE" and kept.data_type == "INT"
+    return int(kept.data[face].value) if is_kept else -1
 
 
 def felt_there(obj: Any, depsgraph: Any, slot: int, token: int) -> MaterialFile:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 
 import bpy
@@ -103,6 +104,16 @@ def test_axes_are_those_of_the_uvs_however_the_object_stands(angles, scale, mirr
         places.append(met)
     way = places[0].axes @ (places[1].point - places[0].point)
     assert way == pytest.approx((0.1 * scale[0] * metres, 0.0), abs=1e-5 * metres * 5)
+
+
+def test_a_face_that_python_does_not_see_is_touched_along_the_objects_axes() -> None:
+    """As where a graphics card subdivides: rays meet faces that the mesh does not list."""
+    add_plane()
+    hit = cast(0.01, 0.0)
+    met = meeting(dataclasses.replace(hit, face=10**6), depsgraph(), 1.0)
+    assert met.axes == pytest.approx(np.eye(3)[:2], abs=1e-6)
+    assert (met.slot, met.token) == (0, -1)
+    assert met.point == pytest.approx((0.01, 0.0, 0.0), abs=1e-6)
 
 
 def test_the_way_over_a_ball_is_as_long_as_its_arc() -> None:
