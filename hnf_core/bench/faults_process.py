@@ -56,6 +56,11 @@ class Child:
             self.heard += [json.loads(line) for line in lines]
         return True
 
+    def stop(self) -> None:
+        """SIGSTOP, until the last of its threads stands: on a busy machine some run on for milliseconds."""
+        self.process.send_signal(signal.SIGSTOP)
+        os.waitpid(self.process.pid, os.WUNTRACED)
+
     @property
     def problems(self) -> tuple[str, ...]:
         return tuple(str(told["problem"]) for told in self.heard if told.get("problem"))
@@ -116,7 +121,7 @@ def slept_long(rig: Rig) -> Outcome:
 
 def _sleep(rig: Rig, child: Child, for_s: float) -> tuple[float, bool]:
     """Seconds of sound from its standing still on, and whether there was no end to it."""
-    struck = rig.strike(lambda: child.process.send_signal(signal.SIGSTOP))
+    struck = rig.strike(child.stop)
     began = time.monotonic()
     hung = not rig.quiet()
     silent = seconds(rig.device.sounded - struck)
