@@ -115,19 +115,25 @@ class LiveSynthesis:
         while len(self._places) < 4:
             self._places.append(state.position)
         self._places.append(state.position)
-        before = self._amplitude
-        travels = np.abs(np.diff(self._places))
-        self._amplitude = self._accumulated(state)
-        self._amplitude[self._carriers.arc_slice] *= self._kappa * (travels.max() * ACTION_RATE_HZ) < BAND_END_HZ
-        audible = self._heard(state.contact)
-        pressing = self._pressing.step(state.force if state.contact else 0.0, state.material)
-        out = np.zeros(SAMPLES_PER_STATE)
-        if audible is not None:
-            out = audible * (self._texture(before, self._amplitude, float(travels.max())) + pressing)
+        out = self._felt(state) if state.contact or self._audible > 0.0 else self._silent()
         self._sample += SAMPLES_PER_STATE
         speed = (self._places[-1] - self._places[-2]) * ACTION_RATE_HZ
         self._noise.prepare(self._sample, self._places[-1], speed)
         return out
+
+    def _felt(self, state: LiveState) -> Float:
+        before, travel = self._amplitude, float(np.abs(np.diff(self._places)).max())
+        self._amplitude = self._accumulated(state)
+        self._amplitude[self._carriers.arc_slice] *= self._kappa * (travel * ACTION_RATE_HZ) < BAND_END_HZ
+        fade = self._fade(state.contact)
+        pressing = self._pressing.step(state.force if state.contact else 0.0, state.material)
+        return np.asarray(fade * (self._texture(before, self._amplitude, travel) + pressing))
+
+    def _silent(self) -> Float:
+        """In the air for so long that nothing is heard or remembered: the next touch begins anew."""
+        self._amplitude, self._states = np.zeros(self._carriers.count), 0
+        self._past[0][:] = 0.0
+        return np.zeros(SAMPLES_PER_STATE)
 
     def _accumulated(self, state: LiveState) -> Float:
         """(K,) Σ_n w_n α of the past states; as field.accumulate."""
@@ -143,19 +149,15 @@ class LiveSynthesis:
         weights = np.exp(density - np.cumsum(density)) * -np.expm1(-density)
         return np.asarray(weights @ self._past[0][rows])
 
-    def _heard(self, contact: bool) -> Float | None:
-        """Fade of this stretch, or None where it is silent."""
+    def _fade(self, contact: bool) -> Float:
+        """(SAMPLES_PER_STATE,) of this stretch."""
         before = self._audible
         if contact and before == 0.0:
             self._pressing.forget()  # what still rang unheard must not come up with the new touch
             before = 1.0
         self._air = 0 if contact else self._air + 1
-        now = max(1.0 - max(self._air - 1, 0) / _FADE_STATES, 0.0)
-        self._audible = min(now, before)
-        if contact:
-            self._audible = 1.0
-        if before == 0.0 and self._audible == 0.0:
-            return None
+        fading = max(1.0 - max(self._air - 1, 0) / _FADE_STATES, 0.0)
+        self._audible = 1.0 if contact else min(fading, before)
         return np.asarray(np.sin(0.5 * np.pi * (before + (self._audible - before) * _SHARE)) ** 2)
 
     def _texture(self, before: Float, now: Float, travel: float) -> Float:
@@ -163,9 +165,8 @@ class LiveSynthesis:
         out = np.zeros(SAMPLES_PER_STATE)
         if not pair.any():
             return out
-        if carriers.time_count:
-            mixed = self._noise.time.mixed(pair[:, carriers.time_slice], self._sample, SAMPLES_PER_STATE)
-            out += mixed[0] * (1.0 - _SHARE) + mixed[1] * _SHARE
+        mixed = self._noise.time.mixed(pair[:, carriers.time_slice], self._sample, SAMPLES_PER_STATE)
+        out += mixed[0] * (1.0 - _SHARE) + mixed[1] * _SHARE
         if carriers.arc_count:
             out += self._arc(pair[:, carriers.arc_slice].reshape(2, -1, ARC_PER_OCTAVE), travel)
         return out

@@ -98,6 +98,13 @@ def test_no_click_where_a_hand_comes_back_while_it_rings():
     assert np.abs(np.diff(live(stroke)[1000:])).max() < 1.5 * largest
 
 
+def test_a_second_touch_after_silence_sounds_as_offline():
+    """What is skipped in silence was for nothing."""
+    stroke = on(hand(0.2, 1.0, contact=lambda t: (t < 0.3) | (t > 0.6), seconds=1.3), "denim")
+    found, wanted = live(stroke)[6000 + TOUCHED :], offline(stroke)[6000 + TOUCHED :]
+    assert error(found, wanted) < STEADY
+
+
 def test_another_seed_is_another_draw():
     stroke = on(hand(0.2, 1.0, seconds=0.3), "denim")
     one, same, other = (
