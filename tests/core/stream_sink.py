@@ -23,7 +23,7 @@ class ClockSink:
         self.fails_after = fails_after
         self._sent = self._underruns = 0
         self._started: float | None = None
-        self.is_open = False
+        self.is_open = self._finishing = False
 
     @property
     def counts(self) -> Counts:
@@ -33,7 +33,7 @@ class ClockSink:
         self.calls.append("open")
         if self.is_open:
             raise DeviceError("the clock is taken.", remedy="Close it elsewhere.")
-        self.is_open, self._sent, self._underruns, self._started = True, 0, 0, None
+        self.is_open, self._finishing, self._sent, self._underruns, self._started = True, False, 0, 0, None
         return self.format
 
     def wait(self, timeout_s: float) -> int:
@@ -61,6 +61,7 @@ class ClockSink:
 
     def finish(self, timeout_s: float) -> None:
         self.calls.append("finish")
+        self._finishing = True  # to run dry is what is wanted now
         until = time.perf_counter() + timeout_s
         while self._played() < self._sent and time.perf_counter() < until:
             time.sleep(0.001)
@@ -80,7 +81,7 @@ class ClockSink:
             return 0
         played = int((time.perf_counter() - self._started) * self.format.rate_hz)
         if played > self._sent:
-            self._underruns += 1
+            self._underruns += not self._finishing
             self._started = time.perf_counter() - self._sent / self.format.rate_hz
             played = self._sent
         return played
