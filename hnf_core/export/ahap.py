@@ -20,11 +20,13 @@ import numpy as np
 
 from ..errors import FileError
 from ..signal import Signal
-from .envelope import STEP_S, Emphasis, Envelope, Float, Index, control_points, envelope_of
-from .haptic import DROPPED, beyond, clipped_words, from_share, steps_as_ramps, to_share, tone_points
+from .control_points import control_points, steps_as_ramps, tone_points
+from .envelope import STEP_S, Emphasis, Envelope, Float, Index, envelope_of
+from .haptic import DROPPED
 from .json_files import Reading, read_json, write_json
 from .options import ExportOptions, ImportOptions
 from .origin import EDITOR, Origin, origin_of, origin_text, rendered_facts
+from .shares import beyond, clipped_words, from_share, to_share
 from .tone import EMPHASIS_S, render
 
 LONGEST_EVENT_S = 30.0
@@ -48,7 +50,7 @@ def write_ahap(path: Path, signal: Signal, options: ExportOptions) -> tuple[str,
     pattern needs an event, and an event a length."""
     if len(signal.samples) == 0:
         raise FileError("an empty signal makes no pattern.", where=str(path), remedy="Give one with samples in it.")
-    envelope = envelope_of(signal, options.range_hz)
+    envelope = envelope_of(signal, options.range_hz, where=str(path))
     pattern, clipped = ahap_pattern(envelope, options)
     metadata = {
         "Project": str(signal.provenance.get("stroke", "")),

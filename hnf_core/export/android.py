@@ -18,10 +18,10 @@ import numpy as np
 from ..errors import FileError
 from ..signal import Signal
 from .envelope import Envelope, envelope_of
-from .haptic import clipped_words
 from .json_files import Reading, read_json, write_json
 from .options import ExportOptions, ImportOptions
 from .origin import Origin, origin_of, origin_record, rendered_facts
+from .shares import clipped_words
 from .tone import render
 
 LARGEST = 255
@@ -29,7 +29,7 @@ STEP_MS = 10
 """A choice of ours: Android takes any whole number of milliseconds."""
 LONGEST_MS = 10_000_000
 DROPPED = (
-    "The waveform and every frequency: only strength over time is kept, and a device plays it at its own resonance.",
+    "The waveform and every frequency: strength over time is kept, and a device plays it at its own resonance.",
     f"Loudness that changes within {STEP_MS} ms, and steps finer than 1/{LARGEST} of full scale.",
 )
 
@@ -37,10 +37,10 @@ DROPPED = (
 def write_android(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
     """What was left out. Raises FileError where a sample is not finite, the disk refuses, or the signal is shorter than
     a millisecond, which Android does not play."""
-    envelope = envelope_of(signal, options.range_hz, clicks=False)
+    envelope = envelope_of(signal, options.range_hz, clicks=False, where=str(path))
     timings, amplitudes, clipped = steps(envelope, options.full_scale_m_s2)
     if not timings:
-        raise FileError("shorter than 1 ms.", where=str(path), remedy="Android plays nothing that short.")
+        raise FileError("shorter than 1 ms, which Android does not play.", where=str(path), remedy="Write WAV instead.")
     record = {
         "timings": timings,
         "amplitudes": amplitudes,

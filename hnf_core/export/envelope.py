@@ -8,8 +8,8 @@ Analysis, 1995, ch. 2): exact for a tone, however short the window. Both need nu
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Sequence
+from bisect import bisect
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ..errors import FileError
 from ..signal import Signal
+from .samples import LONGEST_SAMPLES, finite_samples, rendered_rate
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -66,20 +67,26 @@ class Envelope:
         return float(self.time[-1])
 
 
-def envelope_of(signal: Signal, range_hz: tuple[float, float], *, clicks: bool = True) -> Envelope:
+def envelope_of(
+    signal: Signal, range_hz: tuple[float, float], *, clicks: bool = True, where: str = "envelope"
+) -> Envelope:
     """The envelope of signal within range_hz, every STEP_S. Silence has amplitude 0, and the range's middle frequency.
     clicks: are told apart, and are then not in amplitude; else they are in it, as all else.
 
-    Raises FileError where a sample is not finite.
+    Raises FileError naming where, if a sample is not finite or the signal is longer than could be rendered again.
     """
-    x, rate = np.asarray(signal.samples, dtype=np.float64), float(signal.sample_rate)
-    if not np.isfinite(x).all():
-        raise FileError("some samples are not finite, so nothing was written.", remedy="Synthesise it again.")
+    x, rate = finite_samples(signal, where).astype(np.float64), float(signal.sample_rate)
+    if signal.duration_s * (heard_at := rendered_rate(signal, range_hz)) > LONGEST_SAMPLES:
+        raise FileError(
+            f"{signal.duration_s:.0f} s are too long for strength and frequency over time.",
+            where=where,
+            remedy=f"At most {LONGEST_SAMPLES / heard_at:.0f} s: split it, or write WAV.",
+        )
     at = grid(len(x), rate)
     middle = 0.5 * (range_hz[0] + range_hz[1])
     if not x.any():
         return Envelope(at / rate, np.zeros(len(at)), np.full(len(at), middle))
-    z, slope = analytic(x, rate, range_hz)
+    z, slope, quick = analytic(x, rate, range_hz)
     half = max(1, round(HALF_WINDOW_S * rate))
     shape = np.hanning(2 * half + 3)[1:-1]
     power = around(np.square(np.abs(z)), at, half, lambda rows, inside: _mean(rows, inside * shape))
@@ -91,7 +98,8 @@ def envelope_of(signal: Signal, range_hz: tuple[float, float], *, clicks: bool =
     if heard.any():
         centroid = turning[heard] / (2.0 * np.pi * power[heard])
         frequency = np.interp(at, at[heard], np.clip(centroid, *range_hz))
-    found = _clicks(x, rate, at, amplitude) if clicks else {}
+    # What swings below the range is high too, and no click.
+    found = _clicks(np.minimum(np.abs(quick), np.abs(x)), rate, at, amplitude) if clicks else {}
     beside = np.ones(len(at), bool)
     for index in found:
         beside[max(0, index - ASIDE[0]) : index + ASIDE[0] + 1] = False
@@ -108,22 +116,23 @@ def grid(count: int, rate: float) -> Index:
     return np.asarray(np.unique(np.append(at, count)))
 
 
-def analytic(x: Float, rate: float, range_hz: tuple[float, float]) -> tuple[Complex, Complex]:
-    """z and dz/dt of x within range_hz, cosine flanks of EDGE_OCTAVES outside. x is mirrored at its ends, so that what
-    starts at once is not heard as swelling."""
-    pad = min(len(x), round(2.0 * REACH_S * rate) + 1)
-    wide = np.pad(x, pad, mode="symmetric")
-    size = _fast_size(len(wide) + pad)
-    hertz = np.fft.rfftfreq(size, 1.0 / rate)
+def analytic(x: Float, rate: float, range_hz: tuple[float, float]) -> tuple[Complex, Complex, Float]:
+    """z and dz/dt of x within range_hz, cosine flanks of EDGE_OCTAVES outside; and x without what is below. x is
+    followed by its mirror image, so that it goes on at both ends as it was there: what starts at once is not heard as
+    swelling, and what rests on a constant has no step."""
+    hertz = np.fft.rfftfreq(2 * len(x), 1.0 / rate)
     octaves = np.log2(np.maximum(hertz, 1e-9))
-    low, high = np.log2(range_hz[0]), np.log2(range_hz[1])
-    outside = np.maximum(np.maximum(low - octaves, octaves - high), 0.0)
-    gain = 0.5 + 0.5 * np.cos(np.pi * np.minimum(outside / EDGE_OCTAVES, 1.0))
-    half = np.zeros(size, np.complex128)
-    half[: len(hertz)] = 2.0 * gain * np.fft.rfft(wide, size)
-    z = np.fft.ifft(half)[pad : pad + len(x)]
+    spectrum = np.fft.rfft(np.concatenate([x, x[::-1]])) * _flank(np.log2(range_hz[0]) - octaves)
+    half = np.zeros(2 * len(x), np.complex128)
+    half[: len(hertz)] = 2.0 * spectrum * _flank(octaves - np.log2(range_hz[1]))
+    z = np.fft.ifft(half)[: len(x)]
     half[: len(hertz)] *= 2j * np.pi * hertz
-    return z, np.fft.ifft(half)[pad : pad + len(x)]
+    return z, np.fft.ifft(half)[: len(x)], np.fft.irfft(spectrum, 2 * len(x))[: len(x)]
+
+
+def _flank(outside: Float) -> Float:
+    """1 within, 0 from EDGE_OCTAVES outside on."""
+    return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip(outside / EDGE_OCTAVES, 0.0, 1.0)))
 
 
 def around(values: Float, at: Index, reach: int, fold: Callable[[Float, Float], Float]) -> Float:
@@ -139,44 +148,18 @@ def around(values: Float, at: Index, reach: int, fold: Callable[[Float, Float], 
     return found
 
 
-def control_points(time: Float, value: Float, error: float, kept: Iterable[int] = ()) -> Index:
-    """Indices (m,) of as few of the points as a greedy pass finds whose connecting lines stay within error of all
-    others; the first, the last and kept are always among them."""
-    times, values = time.tolist(), value.tolist()
-    chosen = [0]
-    for stop in sorted({*kept, len(times) - 1}):
-        while chosen[-1] < stop:
-            chosen.append(_farthest(times, values, error, chosen[-1], stop))
-    return np.asarray(chosen, dtype=np.intp)
-
-
-def _farthest(time: Sequence[float], value: Sequence[float], error: float, start: int, stop: int) -> int:
-    """The farthest point up to stop that a line from start reaches within error of all between. Such a line lies in the
-    cone of slopes that pass each of them within error (J. Sklansky and V. Gonzalez 1980); it only narrows."""
-    low, high, best = -math.inf, math.inf, start + 1
-    for index in range(start + 1, stop + 1):
-        span, rise = time[index] - time[start], value[index] - value[start]
-        if low <= rise / span <= high:
-            best = index
-        low, high = max(low, (rise - error) / span), min(high, (rise + error) / span)
-        if low > high:
-            break
-    return best
-
-
-def _clicks(x: Float, rate: float, at: Index, amplitude: Float) -> dict[int, float]:
+def _clicks(height: Float, rate: float, at: Index, amplitude: Float) -> dict[int, float]:
     """Where on the grid → how high, in order of time. Of those nearer than CLICKS_APART_S, the highest."""
     half = max(1, round(0.5 * STEP_S * rate))
-    peak = around(np.abs(x), at, half, _largest)
+    peak = around(height, at, half, _largest)
     calm = around(amplitude, np.arange(len(at)), ASIDE[1], _beside)
-    loud = np.flatnonzero(
-        (peak >= CREST * amplitude) & (peak >= CLICK * calm) & (peak >= CLICK_SHARE * np.abs(x).max())
-    )
+    loud = np.flatnonzero((peak >= CREST * amplitude) & (peak >= CLICK * calm) & (peak >= CLICK_SHARE * height.max()))
     taken: list[int] = []
-    for index in loud[np.argsort(-peak[loud], kind="stable")]:
-        if all(abs(at[index] - at[each]) >= CLICKS_APART_S * rate for each in taken):
-            taken.append(int(index))
-    return {index: float(peak[index]) for index in sorted(taken)}
+    for index in loud[np.argsort(-peak[loud], kind="stable")].tolist():
+        place = bisect(taken, index)
+        if all(abs(at[index] - at[each]) >= CLICKS_APART_S * rate for each in taken[max(0, place - 1) : place + 1]):
+            taken.insert(place, index)
+    return {index: float(peak[index]) for index in taken}
 
 
 def _mean(rows: Float, weight: Float) -> Float:
@@ -191,17 +174,3 @@ def _beside(rows: Float, inside: Float) -> Float:
     """The greater of the medians before and after."""
     side = ASIDE[1] - ASIDE[0] + 1
     return np.asarray(np.maximum(np.median(rows[:, :side], axis=1), np.median(rows[:, -side:], axis=1)))
-
-
-def _fast_size(least: int) -> int:
-    """The next 2^a 3^b 5^c, which an FFT is quick with."""
-    best = 1 << max(0, least - 1).bit_length()
-    five = 1
-    while five < best:
-        three = five
-        while three < best:
-            rest = -(-least // three)
-            best = min(best, three << max(0, rest - 1).bit_length())
-            three *= 3
-        five *= 5
-    return best

@@ -8,7 +8,6 @@ byte, in a view that extras.hnf of the asset names (glTF has no place for a vibr
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from .gltf_mesh import VertexTable, placement_matrix, vertex_table
 from .json_files import read_bytes
 from .options import ExportOptions, ImportOptions
 from .surface import TouchedSurface
-from .wav import read_wav, wav_bytes
+from .wav import wav_bytes, wav_signal
 
 LARGEST_READ = 512 * 2**20
 _TRIANGLES = 4
@@ -56,10 +55,7 @@ def read_glb(path: Path, options: ImportOptions) -> Signal:
         raise FileError(
             "holds no vibration.", where=str(path), remedy="Give a .glb that hnf wrote, or open it as a scene."
         ) from error
-    with tempfile.TemporaryDirectory() as folder:
-        wav = Path(folder) / f"{path.stem}.wav"
-        wav.write_bytes(view_bytes(tree, block, view, path))
-        return read_wav(wav)
+    return wav_signal(view_bytes(tree, block, view, path), path)
 
 
 def surface_bytes(

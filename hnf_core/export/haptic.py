@@ -14,26 +14,25 @@ from typing import Any
 import numpy as np
 
 from ..signal import Signal
-from .envelope import Emphasis, Envelope, Float, Index, control_points, envelope_of
+from .control_points import control_points, steps_as_ramps, tone_points
+from .envelope import Emphasis, Envelope, Float, envelope_of
 from .json_files import Reading, read_json, write_json
 from .options import ExportOptions, ImportOptions
 from .origin import EDITOR, Origin, origin_of, origin_text, rendered_facts
+from .shares import beyond, clipped_words, from_share, to_share
 from .tone import render
 
 VERSION = {"major": 1, "minor": 0, "patch": 0}
-FREQUENCY_ERROR = 0.02
-"""Of the frequency, between its control points."""
 _DIGITS = 6
-CLIPPED = "Clipped"
 DROPPED = (
-    "The waveform: only strength and frequency over time are kept, and a device plays one tone with them.",
+    "The waveform and its peaks: strength and frequency over time are kept, and a device plays one tone with them.",
     "Loudness that changes within 10 ms, and all frequencies at a time but their centre.",
 )
 
 
 def write_haptic(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
     """What was left out. Raises FileError where a sample is not finite or the disk refuses."""
-    envelope = envelope_of(signal, options.range_hz)
+    envelope = envelope_of(signal, options.range_hz, where=str(path))
     record, clipped = haptic_record(envelope, options)
     record["metadata"] = {
         "editor": EDITOR,
@@ -115,41 +114,6 @@ def joined(time: Float, amplitude: Float, other: Float, frequency: Float) -> tup
     """Two curves on the times of both, up to the end of the first: (time, amplitude, frequency)."""
     both = np.unique(np.concatenate([[0.0], time, other[other < time[-1]]]))
     return both, np.interp(both, time, amplitude), np.interp(both, other, frequency)
-
-
-def tone_points(envelope: Envelope) -> Index:
-    """Where the frequency needs a control point."""
-    return control_points(envelope.time, np.log(envelope.frequency), FREQUENCY_ERROR)
-
-
-def steps_as_ramps(time: Float) -> Float:
-    """Times that never fall → times that rise: of two equal ones, a step, the second comes a nanosecond later."""
-    rising = time.copy()
-    for index in np.flatnonzero(np.diff(time) <= 0.0) + 1:
-        rising[index] = max(rising[index - 1] + 1e-9, np.nextafter(rising[index - 1], np.inf))
-    return np.maximum.accumulate(rising)
-
-
-def to_share(hertz: Any, range_hz: tuple[float, float]) -> Any:
-    """Hz → 0 … 1 of the range, linear."""
-    return (hertz - range_hz[0]) / (range_hz[1] - range_hz[0])
-
-
-def from_share(share: Any, range_hz: tuple[float, float]) -> Any:
-    """0 … 1 of the range → Hz."""
-    return range_hz[0] + share * (range_hz[1] - range_hz[0])
-
-
-def beyond(envelope: Envelope, options: ExportOptions) -> int:
-    """How many of its values and clicks exceed full scale; rounding is not counted."""
-    levels = np.concatenate([envelope.amplitude, [each.amplitude for each in envelope.emphases]])
-    return int(np.count_nonzero(np.round(levels / options.full_scale_m_s2, 12) > 1.0))
-
-
-def clipped_words(count: int, options: ExportOptions) -> tuple[str, ...]:
-    if not count:
-        return ()
-    return (f"{CLIPPED}: {count} values above the full scale of {options.full_scale_m_s2:g} m/s².",)
 
 
 def _curve(reading: Reading, rows: list[Any], name: str) -> tuple[Float, Float]:

@@ -36,6 +36,7 @@ from ..units import m_to_mm
 from .glb import surface_bytes
 from .gltf_mesh import vertex_table, vertices_under
 from .options import ExportOptions
+from .samples import finite_samples
 from .surface import StrokePath
 from .wav import UNITS
 
@@ -79,16 +80,20 @@ def write_hjif(path: Path, signal: Signal, options: ExportOptions) -> tuple[str,
         write_bytes(mesh, surface_bytes(surface, table, signal, where=str(mesh)))
         left_out.append(
             f"Time and force: a texture lies along the stroke's way of {m_to_mm(surface.path.length_m):.3g} mm, as it "
-            f"was pressed; read back, it is played at its mean speed, "
+            f"was pressed, without the moments at rest; read back, it is played at its mean speed, "
             f"{m_to_mm(surface.path.mean_speed_m_s):.3g} mm/s."
         )
         if len(vertices) > MOST_VERTICES:
             left_out.append(f"{len(vertices) - MOST_VERTICES} of {len(vertices)} vertices: a channel counts 65535.")
     elif surface is not None:
         left_out.append(f"The vertices: where the stroke goes on object '{surface.name}' is not known.")
+    else:
+        left_out.append("The vertices: they are on the baked scene, which was not given.")
     cut = [name for name in signal.provenance if name not in _told(signal.provenance)]
     if cut:
-        left_out.append(f"Of the signal's origin: {', '.join(sorted(cut))}; a description holds 255 bytes.")
+        left_out.append(
+            f"Of the signal's origin: {', '.join(sorted(cut))}, which the .json has; a description holds 255 bytes."
+        )
     today = datetime.date.today().isoformat()
     tree = hjif_tree(signal, options, date=today, texture=texture, where=str(path))
     write_text(path, json.dumps(tree, separators=(",", ":"), ensure_ascii=False))
@@ -100,9 +105,8 @@ def hjif_tree(
 ) -> dict[str, Any]:
     """The file as JSON objects; equal input gives equal trees. date: ISO 8601. Raises FileError as write_hjif does."""
     rate = _whole_rate(signal, where) if texture is None else texture.rate
-    samples = np.asarray(signal.samples if texture is None else texture.samples, dtype=np.float64)
-    if samples.ndim != 1 or not np.isfinite(samples).all():
-        raise FileError("some samples are not finite, so nothing was written.", where=where, remedy="Bake it again.")
+    given = signal if texture is None else played(signal, texture)
+    samples = finite_samples(given, where).astype(np.float64)
     if len(samples) > MOST_SAMPLES:
         why = f"{len(samples)} samples are more than the {MOST_SAMPLES} that are written as text."
         raise FileError(why, where=where, remedy=_REMEDY)

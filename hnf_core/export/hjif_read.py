@@ -17,12 +17,14 @@ import numpy as np
 from ..signal import Signal
 from .hjif_bands import BANDS, TRANSIENT_S, EffectKeys, Float, Ticks
 from .json_files import Reading, read_json
-from .options import FULL_SCALE_M_S2, ImportOptions
+from .options import FULL_SCALE_M_S2, LARGEST_SCALE, SMALLEST_SCALE, ImportOptions
 from .wav import UNITS
 
 DEFAULT_TIMESCALE = 1000
 MOST_TICKS = 2**31 - 1
 MOST_SAMPLES = 20_000_000
+LARGEST_GAIN = 1e45
+"""The largest float32 over the smallest full scale."""
 _REFERENCE = "Render it with MPEG's reference software, and import the WAV."
 
 
@@ -63,7 +65,7 @@ def read_hjif(path: Path, options: ImportOptions) -> Signal:
         first, values = BANDS[band](part, ticks)
         shares[first : first + len(values)] += values
     exponent = _whole(reading, perception, "perception_unit_exponent", -128, 127, 0)
-    gain = reading.number(channel, "gain", -1e6, 1e6) * 10.0**exponent
+    gain = reading.number(channel, "gain", -LARGEST_GAIN, LARGEST_GAIN) * 10.0**exponent
     scale = _scale(tree.get("description"), options)
     with np.errstate(over="ignore"):
         samples = np.asarray(shares * (gain * scale.full_scale), dtype=np.float32)
@@ -142,7 +144,7 @@ def _scale(text: object, options: ImportOptions) -> _Scale:
     try:
         record = json.loads(text) if isinstance(text, str) else {}
         scale, seed = float(record["full_scale"]), int(record["seed"])
-        if record["units"] == UNITS and 0.0 < scale < 1e6:
+        if record["units"] == UNITS and SMALLEST_SCALE <= scale <= LARGEST_SCALE:
             return _Scale(scale, True, seed)
     except (ValueError, KeyError, TypeError, RecursionError, OverflowError):
         pass

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FileError
-from ..files import write_text
+from ..files import write_bytes
 
 LARGEST_BYTES = 32 * 2**20
-"""An hour of control points every 5 ms is some 60 MB of text; a stroke is kilobytes."""
+"""A quarter of an hour of control points every 5 ms; a stroke is kilobytes."""
 _PIECE = 2**20
 AGAIN = "Export or download it again."
 
@@ -50,8 +50,13 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def write_json(path: Path, record: dict[str, Any]) -> None:
-    """Atomically; equal records give equal bytes. Raises FileError where the disk refuses."""
-    write_text(path, json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    """Atomically; equal records give equal bytes. Raises FileError where it would be larger than is read again, or the
+    disk refuses."""
+    data = (json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+    if len(data) > LARGEST_BYTES:
+        why = f"it would be {len(data) / 2**20:.0f} MB of text, and {LARGEST_BYTES / 2**20:.0f} are read again."
+        raise FileError(why, where=str(path), remedy="Split the signal, or write WAV.")
+    write_bytes(path, data)
 
 
 class Reading:

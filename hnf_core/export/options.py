@@ -11,6 +11,8 @@ FULL_SCALE_M_S2 = 30.0
 """Where nobody says: the generic voice coil's largest acceleration (`hnf_core/actuators/profile.py`)."""
 RANGE_HZ = (20.0, 1000.0)
 """Where nobody says: the generic voice coil's range."""
+SMALLEST_SCALE, LARGEST_SCALE = 1e-6, 1e6
+"""m/s²; no device is outside."""
 ENVELOPE_ERROR = 0.01
 RENDER_RATE_HZ = 10_000.0
 
@@ -45,15 +47,13 @@ class ImportOptions:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        _check(self.full_scale_m_s2 or FULL_SCALE_M_S2, self.range_hz or RANGE_HZ)
-        if self.full_scale_m_s2 is not None and not self.full_scale_m_s2 > 0.0:
-            raise UsageError("a full scale of 0 m/s² moves nothing.", remedy="Give e.g. 30.")
+        _check(FULL_SCALE_M_S2 if self.full_scale_m_s2 is None else self.full_scale_m_s2, self.range_hz or RANGE_HZ)
         if not (1.0 <= self.rate_hz <= 1e6 and self.rate_hz == round(self.rate_hz)):
             raise UsageError(f"{self.rate_hz:g} Hz: a WAV needs a whole number of Hz.", remedy="Give e.g. 10000.")
 
 
 def _check(full_scale_m_s2: float, range_hz: tuple[float, float]) -> None:
-    if not 0.0 < full_scale_m_s2 < 1e6:
+    if not SMALLEST_SCALE <= full_scale_m_s2 <= LARGEST_SCALE:
         raise UsageError(f"a full scale of {full_scale_m_s2:g} m/s² fits no device.", remedy="Give e.g. 30.")
     if not 0.0 < range_hz[0] < range_hz[1] <= 1e5:
         raise UsageError(f"{range_hz[0]:g} to {range_hz[1]:g} Hz is no range.", remedy="Give e.g. 20 and 1000.")

@@ -8,7 +8,7 @@ from typing import Any
 
 from .. import __version__
 from ..signal import Signal
-from .options import FULL_SCALE_M_S2, RANGE_HZ, ExportOptions, ImportOptions
+from .options import FULL_SCALE_M_S2, LARGEST_SCALE, RANGE_HZ, SMALLEST_SCALE, ExportOptions, ImportOptions
 from .tone import CARRIER
 
 EDITOR = f"Haptic Neural Fields {__version__}"
@@ -54,7 +54,7 @@ def origin_of(text: object, options: ImportOptions) -> Origin:
         low, high = (float(each) for each in record["range_hz"])
         scale = float(record["full_scale"])
         facts = {str(name): str(value) for name, value in record["provenance"].items()}
-        sound = record["units"] == UNITS and 0.0 < scale < 1e6 and 0.0 < low < high <= 1e5
+        sound = record["units"] == UNITS and SMALLEST_SCALE <= scale <= LARGEST_SCALE and 0.0 < low < high <= 1e5
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
         return mine
     return replace(mine, full_scale_m_s2=scale, range_hz=(low, high), stated=True, provenance=facts) if sound else mine

@@ -22,17 +22,25 @@ from ..signal import Signal
 from .json_files import AGAIN, read_bytes
 from .options import ExportOptions, ImportOptions
 from .origin import origin_text
+from .samples import finite_samples
 from .sidecar import origin_beside
 
 HEADER = "time_s,acceleration_m_s2"
 LARGEST_BYTES = 2**29
+ROW_BYTES = 40
+"""At most: a time of up to nine digits before the point and twelve after it, and a float32."""
 UNEVEN = 0.1
 """Of a sample's time: more than this off its place, and times are not even. Tables round their times."""
 
 
 def write_csv(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-    """Raises FileError where a sample is not finite or the disk refuses."""
-    samples = _finite(signal, path)
+    """Raises FileError where a sample is not finite, there are fewer than two, whose times tell no rate, the table
+    would be larger than is read again, or the disk refuses."""
+    samples = finite_samples(signal, str(path))
+    if len(samples) < 2:
+        raise FileError(f"a table of {len(samples)} rows tells no rate.", where=str(path), remedy="Write NPZ instead.")
+    if len(samples) * ROW_BYTES > LARGEST_BYTES:
+        raise FileError(f"{len(samples)} rows are too many for a table.", where=str(path), remedy="Write NPZ instead.")
     time = np.arange(len(samples)) / signal.sample_rate
     rows = io.StringIO()
     np.savetxt(rows, np.stack([time, samples.astype(np.float64)], axis=1), fmt=["%.12f", "%.9g"], delimiter=",")
@@ -57,10 +65,12 @@ def read_csv(path: Path, options: ImportOptions) -> Signal:
         raise FileError(f"is damaged ({error}).", where=str(path), remedy=AGAIN) from error
     if rows.shape[1] != 2 or len(rows) < 2:
         raise FileError("has no two columns and rows.", where=str(path), remedy=f"Give the header {HEADER} and rows.")
-    if not np.isfinite(rows).all() or np.abs(rows[:, 1]).max() > 3e38:
+    with np.errstate(over="ignore"):
+        samples = rows[:, 1].astype(np.float32)
+    if not (np.isfinite(rows).all() and np.isfinite(samples).all()):
         raise FileError("some values are not finite.", where=str(path), remedy=AGAIN)
     seed, facts = origin_beside(path) or (options.seed, {"source": path.name})
-    return Signal(rows[:, 1].astype(np.float32), _rate(rows[:, 0], path), seed, facts)
+    return Signal(samples, _rate(rows[:, 0], path), seed, facts)
 
 
 def _rate(time: NDArray[np.float64], path: Path) -> float:
@@ -78,7 +88,7 @@ def _rate(time: NDArray[np.float64], path: Path) -> float:
 def write_npz(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
     """Equal signals give equal bytes. Raises FileError where a sample is not finite or the disk refuses."""
     arrays: dict[str, NDArray[Any]] = {
-        "samples": _finite(signal, path),
+        "samples": finite_samples(signal, str(path)),
         "sample_rate_hz": np.array(float(signal.sample_rate)),
         "seed": np.array(str(int(signal.seed))),
         "origin": np.array(origin_text(signal, None)),
@@ -137,11 +147,3 @@ def _header(stream: io.BytesIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     read = layout.read_array_header_1_0 if layout.read_magic(stream) == (1, 0) else layout.read_array_header_2_0
     shape, fortran, kind = read(stream)
     return shape, fortran, kind
-
-
-def _finite(signal: Signal, path: Path) -> NDArray[np.float32]:
-    with np.errstate(over="ignore"):
-        samples = np.asarray(signal.samples, dtype="<f4")
-    if not np.isfinite(samples).all():
-        raise FileError("some samples are not finite, so nothing was written.", where=str(path))
-    return samples

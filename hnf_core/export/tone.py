@@ -7,13 +7,12 @@ from numpy.typing import NDArray
 
 from ..errors import FileError
 from .envelope import Envelope
+from .samples import LONGEST_SAMPLES
 
 CARRIER = "a sine whose phase is the integral of the frequency envelope; the seed draws where it starts"
 EMPHASIS_S = 0.015
 """Length of a click, under a Hann window; the tone gives way to it. As long as Lofelt's tests of its emphasis on
 Android (`core/datamodel/src/emphasis.rs`); its level is the emphasis's own."""
-LONGEST_SAMPLES = 2**24
-"""28 minutes at 10 kHz; a file that claims more is damaged, or made to fill memory."""
 
 
 def render(envelope: Envelope, rate_hz: float, seed: int, *, where: str = "envelope") -> NDArray[np.float32]:

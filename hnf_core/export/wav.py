@@ -25,6 +25,7 @@ from .. import __version__
 from ..errors import FileError
 from ..files import write_bytes
 from ..signal import Signal
+from .samples import finite_samples
 
 UNITS = "m/s^2"
 SCHEMA = 1
@@ -43,17 +44,7 @@ def write_wav(path: Path, signal: Signal) -> None:
 
 def wav_bytes(signal: Signal, *, where: str = "WAV") -> bytes:
     """The file that write_wav writes. Equal signals give equal bytes."""
-    with np.errstate(over="ignore"):
-        samples = np.asarray(signal.samples, dtype="<f4")
-    if samples.ndim != 1:
-        raise FileError(f"a signal is one-dimensional, this one has shape {samples.shape}.", where=where)
-    bad = int(np.count_nonzero(~np.isfinite(samples)))
-    if bad:
-        raise FileError(
-            f"{bad} of {len(samples)} samples are not finite, so nothing was written.",
-            where=where,
-            remedy="Check the stroke's keyframes and the material's values for NaN or infinity.",
-        )
+    samples = finite_samples(signal, where)
     rate = signal.sample_rate
     if not (math.isfinite(rate) and rate == int(rate) and 1 <= rate <= _LARGEST // 4):
         raise FileError(
@@ -82,11 +73,15 @@ def read_wav(path: Path) -> Signal:
     """
     path = Path(path)
     try:
-        data = path.read_bytes()
+        return wav_signal(path.read_bytes(), path)
     except OSError as error:
         raise FileError(
             f"cannot be read ({error.strerror or error}).", where=str(path), remedy="Check the file's path."
         ) from error
+
+
+def wav_signal(data: bytes, path: Path) -> Signal:
+    """As read_wav, of the bytes of a file. path: what messages name."""
     if len(data) < 12 or data[:4] != b"RIFF" or data[8:12] != b"WAVE":
         raise FileError("is not a RIFF/WAVE file.", where=str(path), remedy="Give a .wav file.")
     form: bytes | None = None

@@ -18,8 +18,9 @@ from ..errors import FileError
 from ..field.resampling import resample
 from ..files import write_bytes
 from ..signal import Signal
-from .haptic import clipped_words
 from .options import ExportOptions, ImportOptions
+from .samples import finite_samples
+from .shares import clipped_words
 from .wav import UNITS, info_chunk, read_wav, write_wav
 
 COUNTS = 32767
@@ -51,9 +52,7 @@ def write_copy(path: Path, signal: Signal, rate_hz: float, options: ExportOption
 
     Raises FileError where a sample is not finite, the file would exceed 4 GB, or the disk refuses.
     """
-    samples = np.asarray(signal.samples, dtype=np.float64)
-    if not np.isfinite(samples).all():
-        raise FileError("some samples are not finite, so nothing was written.", where=str(path))
+    samples = finite_samples(signal, str(path)).astype(np.float64)
     resampled, warnings = resample(samples, signal.sample_rate, rate_hz)
     share = resampled / options.full_scale_m_s2
     counts = np.clip(np.rint(share * COUNTS), -COUNTS, COUNTS).astype("<i2")

@@ -10,15 +10,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from hnf_core.errors import FileError
-from hnf_core.export.envelope import (
-    Emphasis,
-    Envelope,
-    around,
-    control_points,
-    envelope_of,
-    grid,
-)
-from hnf_core.export.tone import EMPHASIS_S, LONGEST_SAMPLES, render
+from hnf_core.export.control_points import control_points
+from hnf_core.export.envelope import Emphasis, Envelope, around, envelope_of, grid
+from hnf_core.export.samples import LONGEST_SAMPLES
+from hnf_core.export.tone import EMPHASIS_S, render
 
 RANGE = (20.0, 1000.0)
 
@@ -117,6 +112,30 @@ def test_a_click_is_told_apart_from_a_texture() -> None:
     )
     assert np.abs(told - calm).max() < 0.5
     assert whole.max() > 4.0
+
+
+@pytest.mark.parametrize(
+    "swing", [np.ones(20_000), np.sin(2 * np.pi * 5e-4 * np.arange(20_000)), np.linspace(-1, 1, 20_000)]
+)
+def test_what_lies_below_the_range_is_no_click(swing: np.ndarray) -> None:
+    rough = 0.1 * texture(2.0).samples
+    calm, swung = (envelope_of(signal_of(each), RANGE) for each in (rough, rough + 5.0 * swing))
+    assert swung.emphases == ()
+    inside = (calm.time > 0.1) & (calm.time < 1.9)
+    np.testing.assert_allclose(swung.amplitude[inside], calm.amplitude[inside], atol=0.05)
+    assert not envelope_of(signal_of(5.0 * np.ones(3000)), RANGE).amplitude.max() > 1e-9
+
+
+def test_clicks_by_the_thousand_are_each_told() -> None:
+    samples = np.zeros(600_000)
+    samples[500::1000] = 5.0
+    marks = np.array([each.time_s for each in envelope_of(signal_of(samples), RANGE).emphases])
+    np.testing.assert_allclose(marks, 0.05 + 0.1 * np.arange(600), atol=0.0051)
+
+
+def test_what_could_not_be_rendered_again_is_refused() -> None:
+    with pytest.raises(FileError, match="split it"):
+        envelope_of(signal_of(np.zeros(LONGEST_SAMPLES // 250 + 1), 10.0), RANGE)
 
 
 @given(

@@ -80,7 +80,8 @@ def test_the_reference_synthesiser_hears_each_sample_once(tmp_path: Path) -> Non
     """Effects share their border; as Band::EvaluationBand joins them, nothing is doubled and nothing is missing."""
     signal = rough_tone(2.5)
     path = tmp_path / "x.hjif"
-    assert write_hjif(path, signal, PLAIN) == ()
+    (said,) = write_hjif(path, signal, PLAIN)
+    assert "baked scene" in said
     tree = json.loads(path.read_text(encoding="utf-8"))
     check_hjif(tree)
     channel = tree["perceptions"][0]["channels"][0]
