@@ -39,8 +39,6 @@ class HNF_OT_export(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # 
         return True
 
     def execute(self, context: Any) -> set[str]:
-        from hnf_core.export.shares import CLIPPED
-
         from ..preview.facts import PREVIEW
         from ..preview.losses import loss_sentence
         from ..preview.outlet import export_folder, export_of
@@ -74,9 +72,8 @@ class HNF_OT_export(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # 
             self.report({"WARNING"}, text)
         for each, sentence in zip(written, PREVIEW.exported, strict=True):
             self.report({"INFO"}, sentence)
-            for text in each.dropped:
-                if text.startswith(CLIPPED):
-                    self.report({"WARNING"}, f"{each.path.name}: {text}")
+            if each.clipped:
+                self.report({"WARNING"}, f"{each.path.name}: {each.clipped}")
         said = tr("{count} written to {folder}: {names}")
         names = ", ".join(each.path.name for each in written)
         self.report({"INFO"}, said.format(count=len(written), folder=written[0].path.parent, names=names))

@@ -20,15 +20,14 @@ QUIET_DB = 40.0
 def loss_sentence(exported: Exported) -> str:
     """Of one file: how its level, its most changed octave and its duration differ from the stroke's."""
     name, loss = exported.path.name, exported.loss
-    if loss is None:
-        return tr("{file}: cannot be read back here, so its loss is not measured").format(file=name)
+    if loss.exact:
+        return tr("{file}: nothing is lost").format(file=name)
     level = _decibels(loss.before.rms, loss.after.rms)
     worst = _most_changed(loss.bands)
     longer = 1000.0 * (loss.after.duration_s - loss.before.duration_s)
     band_db = 0.0 if worst is None or worst.change_db is None else worst.change_db
     if max(abs(level), abs(band_db)) < UNHEARD_DB and abs(longer) < 0.05:
-        said = tr("{file}: no octave changed by 0.05 dB") if exported.form.scaled else tr("{file}: nothing is lost")
-        return said.format(file=name)
+        return tr("{file}: no octave changed by 0.05 dB").format(file=name)
     if worst is None:
         return tr("{file}: nothing of it is left").format(file=name)
     said = tr(

@@ -19,9 +19,9 @@ from .monitor import monitor_factor
 
 if TYPE_CHECKING:
     from hnf_core.export.convert import Exported
+    from hnf_core.export.formats import Format
     from hnf_core.export.options import ExportOptions
 
-ON_SURFACES = ("hjif", "glb")
 STROKE_PROPERTY = "hnf_stroke_name"
 """On strips and speakers: the stroke they sound like, so that adding again replaces."""
 
@@ -72,8 +72,9 @@ def export_folder(scene: Any) -> Path:
 def export_of(obj: Any, context: Any, word: str) -> Exported:
     """Write a stroke into the export folder in the format called word, and say what that cost.
 
-    1 stands for the largest acceleration of the scene's actuator. hjif and glb get the surface with what is baked on
-    it. Raises SceneError and StrokeError as true_signal does, FileError where the format cannot hold the signal.
+    1 stands for the largest acceleration of the scene's actuator. Formats that have a place for a surface get it with
+    what is baked on it. Raises SceneError and StrokeError as true_signal does, FileError where the format cannot hold
+    the signal.
     """
     from hnf_core.export.convert import export_signal
     from hnf_core.export.formats import format_of
@@ -83,17 +84,17 @@ def export_of(obj: Any, context: Any, word: str) -> Exported:
     signal, form = true_signal(obj, context), format_of(word)
     stem = file_stem(obj.name) + CHOICE_OF[word].stem
     path = export_folder(context.scene) / f"{stem}{form.suffix}"
-    return export_signal(signal, form, path, _options(obj, context, word))
+    return export_signal(signal, form, path, _options(obj, context, form))
 
 
-def _options(obj: Any, context: Any, word: str) -> ExportOptions:
+def _options(obj: Any, context: Any, form: Format) -> ExportOptions:
     from hnf_core.export.options import RANGE_HZ, ExportOptions
 
     from ..bridge.importers import metres_per_unit
     from ..bridge.touched_surface import touched_surface
 
     profile, surface = actuator_of(context.scene), None
-    if word in ON_SURFACES:
+    if form.surface:
         depsgraph = context.evaluated_depsgraph_get()
         surface = touched_surface(context.scene, depsgraph, metres_per_unit(context.scene), stroke=obj)
     return ExportOptions(profile.limits.full_scale_m_s2, profile.range_hz or RANGE_HZ, surface=surface)

@@ -24,7 +24,8 @@ FORMAT_CHOICES = (
                  stem="-48k"),
     FormatChoice("haptic", ".haptic (Meta)", "Strength and frequency over time, for Meta Haptics; no waveform"),
     FormatChoice("ahap", ".ahap (Apple)", "Strength and sharpness over time, for iPhones; no waveform"),
-    FormatChoice("android", "Android Waveform", "Strength over time, for VibrationEffect.createWaveform; no waveform"),
+    FormatChoice("android", "Android Waveform", "Strength over time, for VibrationEffect.createWaveform; no waveform",
+                 stem="-android"),
     FormatChoice("hjif", ".hjif (MPEG)", "The vibration along the stroke and the vertices that it lies on; their mesh "
                  "is written beside it, as GLB"),
     FormatChoice("glb", "GLB (glTF)", "The touched mesh with what is baked on it (MPEG_haptic_material) and the signal",

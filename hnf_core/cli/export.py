@@ -15,7 +15,6 @@ from ..actuators.profile_file import profile_at
 from ..errors import UsageError
 from ..export.convert import export_signal
 from ..export.formats import FORMATS, format_of
-from ..export.haptic import CLIPPED
 from ..export.options import FULL_SCALE_M_S2, RANGE_HZ, ExportOptions
 from ..export.surface import TouchedSurface
 from ..export.wav_copies import read_own_wav
@@ -72,6 +71,14 @@ def scale_of(arguments: argparse.Namespace) -> tuple[float | None, tuple[float, 
     return full_scale, range_hz
 
 
+def check_out(out: Path, suffix: str, source: Path) -> None:
+    """Other programs go by the suffix, and what is read must not be written over. Raises UsageError."""
+    if out.suffix.lower() != suffix:
+        raise UsageError(f"--out {out}: such a file ends in {suffix}.", remedy=f"Give --out {out.stem}{suffix}")
+    if out.exists() and source.exists() and out.samefile(source):
+        raise UsageError(f"--out {out} is the file that is read.", remedy="Give another name.")
+
+
 def no_scene(scene: Path, origin: Mapping[str, str], object_name: str | None) -> TouchedSurface:
     """Where there is no Blender. Raises UsageError."""
     raise UsageError(
@@ -83,6 +90,10 @@ def no_scene(scene: Path, origin: Mapping[str, str], object_name: str | None) ->
 def run(arguments: argparse.Namespace, read_scene: SceneReader = no_scene) -> int:
     """read_scene: --scene, the WAV's provenance and --object → the surface. Raises HnfError; returns the exit code."""
     form = format_of(arguments.format)
+    check_out(arguments.out, form.suffix, arguments.file)
+    if arguments.scene is not None and not form.surface:
+        takers = ", ".join(each.word for each in FORMATS.values() if each.surface)
+        raise UsageError(f"the format '{form.word}' has no place for --scene.", remedy=f"Those that have: {takers}.")
     if arguments.object is not None and arguments.scene is None:
         raise UsageError("--object without --scene.", remedy="Name the baked scene too: --scene BAKED.blend")
     full_scale, range_hz = scale_of(arguments)
@@ -93,7 +104,8 @@ def run(arguments: argparse.Namespace, read_scene: SceneReader = no_scene) -> in
         options = replace(options, surface=surface)
     exported = export_signal(signal, form, arguments.out, options)
     print(json.dumps(exported.to_json(), indent=1) if arguments.json else exported.report())
-    for each in exported.dropped:
-        if each.startswith(CLIPPED):
-            print(f"hnf: {each} Give a larger --full-scale, or an actuator that is stronger.", file=sys.stderr)
+    if exported.clipped:
+        print(f"hnf: {exported.clipped} Give a larger --full-scale, or a stronger actuator.", file=sys.stderr)
+    elif form.scaled and full_scale is None and not arguments.json:
+        print(f"- 1 is {FULL_SCALE_M_S2:g} m/s², the generic voice coil's: --profile or --full-scale say otherwise.")
     return 0

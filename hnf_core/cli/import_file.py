@@ -10,18 +10,17 @@ from typing import Any
 import numpy as np
 
 from ..export.convert import import_signal
-from ..export.formats import FORMATS, format_of
+from ..export.formats import SUFFIXES, format_of
 from ..export.options import RENDER_RATE_HZ, ImportOptions
 from ..export.wav import write_wav
-from .export import add_scale, scale_of
+from .export import add_scale, check_out, scale_of
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
-    readable = sorted({each.suffix for each in FORMATS.values() if each.read is not None})
     parser: argparse.ArgumentParser = verbs.add_parser(
         "import",
         help="turn a haptic file of another program into a WAV in m/s²",
-        description=f"Read {', '.join(readable)} and write a float32 WAV in m/s². Formats that keep strength and "
+        description=f"Read {', '.join(SUFFIXES)} and write a float32 WAV in m/s². Formats that keep strength and "
         "frequency over time are rendered on a sine. What the file states of its scale counts more than the options.",
     )
     parser.add_argument("file", type=Path, metavar="FILE", help="what to read")
@@ -39,6 +38,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
+    check_out(arguments.out, ".wav", arguments.file)
     form = None if arguments.format is None else format_of(arguments.format)
     full_scale, range_hz = scale_of(arguments)
     options = ImportOptions(full_scale, range_hz, arguments.rate, arguments.seed)

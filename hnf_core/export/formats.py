@@ -9,7 +9,7 @@ command line, the loss report and the tests of all formats take it from there.
   missing.
 * A *reader* `(path, options) -> Signal` gives back m/s². Where the format keeps envelopes only, they are rendered on a
   carrier (`tone.py`). It raises one FileError for whatever is wrong with the file, within bounded memory
-  (`json_files.py` reads JSON so). None: the format cannot be read back, and its loss is told in words alone.
+  (`json_files.py` reads JSON so). It reads all that the writer writes: what was lost is measured so.
 """
 
 from __future__ import annotations
@@ -38,15 +38,16 @@ Reader = Callable[[Path, ImportOptions], Signal]
 class Format:
     """word: as asked for. suffix: of its files, with the dot. what: it is, in a sentence. checked: against what its
     files are validated, and what could not be checked. write, read: see above. scaled: its numbers are shares of a full
-    scale and of a range, and no m/s²."""
+    scale and of a range, and no m/s². surface: it has a place for what the stroke was drawn on."""
 
     word: str
     suffix: str
     what: str
     checked: str
     write: Writer
-    read: Reader | None
+    read: Reader
     scaled: bool = True
+    surface: bool = False
 
 
 _LOFELT = "the rules of Lofelt's own reader (NiceVibrations, `core/datamodel/src/v1.rs`)"
@@ -86,18 +87,27 @@ FORMATS: dict[str, Format] = {
             "hjif", ".hjif", "MPEG haptics (ISO/IEC 23090-31): the vibration; given the surface, with its vertices",
             "what MPEG's reference software reads and checks (`IOJson.cpp`, `IOCompatibility.h`); not against its JSON "
             "schema, which is not public, and not played by it",
-            write_hjif, read_hjif,
+            write_hjif, read_hjif, surface=True,
         ),
         Format(
             "glb", ".glb", "glTF: the touched mesh, what is baked on it as MPEG_haptic_material, and the signal",
             "Khronos's glTF validator (no error, no warning) and Blender's importer; the extension against its public "
             "schemas, which do not say how pixels count",
-            write_glb, read_glb, scaled=False,
+            write_glb, read_glb, scaled=False, surface=True,
         ),
-        Format("csv", ".csv", "a table time_s,acceleration_m_s2", "read again by numpy", write_csv, read_csv, False),
-        Format("npz", ".npz", "numpy arrays, without pickle", "read again by numpy.load", write_npz, read_npz, False),
+        Format(
+            "csv", ".csv", "a table time_s,acceleration_m_s2", "read again by numpy",
+            write_csv, read_csv, scaled=False,
+        ),
+        Format(
+            "npz", ".npz", "numpy arrays, without pickle", "read again by numpy.load",
+            write_npz, read_npz, scaled=False,
+        ),
     )
 }  # fmt: skip
+
+
+SUFFIXES = tuple(sorted({each.suffix for each in FORMATS.values()}))
 
 
 def format_of(word: str) -> Format:
@@ -109,11 +119,9 @@ def format_of(word: str) -> Format:
 
 def format_of_file(path: Path) -> Format:
     """The format to read path with, by its suffix. Raises UsageError naming those that can be read."""
-    suffix = path.suffix.lower()
-    found = [each for each in FORMATS.values() if each.suffix == suffix and each.read is not None]
+    found = [each for each in FORMATS.values() if each.suffix == path.suffix.lower()]
     if found:
         return found[0]
-    readable = sorted({each.suffix for each in FORMATS.values() if each.read is not None})
     raise UsageError(
-        f"{path.name}: files of the kind '{path.suffix}' cannot be read.", remedy=f"Give one of {', '.join(readable)}."
+        f"{path.name}: files of the kind '{path.suffix}' cannot be read.", remedy=f"Give one of {', '.join(SUFFIXES)}."
     )

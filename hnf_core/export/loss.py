@@ -33,11 +33,13 @@ class Facts:
 
 @dataclass(frozen=True)
 class Loss:
-    """before, after: the conversion; bands: of energy; dropped: what the format has no place for, in words."""
+    """before, after: the conversion; bands: of energy; exact: every sample is as it was; dropped: what the format has
+    no place for, in words."""
 
     before: Facts
     after: Facts
     bands: tuple[Band, ...]
+    exact: bool
     dropped: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
@@ -52,6 +54,7 @@ class Loss:
             for band in self.bands
         ]
         return {
+            "exact": self.exact,
             "before": vars(self.before),
             "after": vars(self.after),
             "bands": bands,
@@ -63,7 +66,8 @@ class Loss:
 def loss_between(before: Signal, after: Signal, dropped: tuple[str, ...] = ()) -> Loss:
     """after: read again from the file."""
     bands = band_changes(before.samples, before.sample_rate, after.samples, after.sample_rate)
-    return Loss(facts_of(before), facts_of(after), bands, dropped)
+    exact = before.sample_rate == after.sample_rate and np.array_equal(before.samples, after.samples)
+    return Loss(facts_of(before), facts_of(after), bands, exact, dropped)
 
 
 def facts_of(signal: Signal) -> Facts:
@@ -92,8 +96,11 @@ def level_db(power: float) -> float | None:
 
 
 def loss_table(loss: Loss) -> str:
-    """A few lines for a terminal."""
+    """A few lines for a terminal; of a conversion that is exact, one."""
     before, after = loss.before, loss.after
+    if loss.exact:
+        facts = f"{before.duration_s:.4f} s at {before.sample_rate_hz:g} Hz, {before.rms:.3g} m/s² RMS"
+        return _listed(f"Every sample reads back as it was: {facts}, peak {before.peak:.3g} m/s².", loss)
     rows = [
         ("", "before", "after", "change"),
         ("duration", f"{before.duration_s:.4f} s", f"{after.duration_s:.4f} s",
@@ -112,7 +119,11 @@ def loss_table(loss: Loss) -> str:
     lines = [
         "  ".join([row[0].ljust(widths[0]), *(row[i].rjust(widths[i]) for i in (1, 2, 3))]).rstrip() for row in rows
     ]
-    return "\n".join([*lines, *(f"- {each}" for each in loss.dropped)])
+    return _listed("\n".join(lines), loss)
+
+
+def _listed(text: str, loss: Loss) -> str:
+    return "\n".join([text, *(f"- {each}" for each in loss.dropped)])
 
 
 def _name(band: Band) -> str:

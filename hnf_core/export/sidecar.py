@@ -19,9 +19,7 @@ def sidecar_of(path: Path) -> Path:
     return path.with_name(path.name + ".json")
 
 
-def write_sidecar(
-    path: Path, word: str, signal: Signal, options: ExportOptions | None, loss: dict[str, Any] | None
-) -> None:
+def write_sidecar(path: Path, word: str, signal: Signal, options: ExportOptions | None, loss: dict[str, Any]) -> None:
     """signal: what was exported to path, as the format called word. options: as for origin_record. loss: the report.
     Raises FileError."""
     record = {

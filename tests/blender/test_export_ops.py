@@ -12,7 +12,7 @@ from panel_recorder import drawn
 
 from hnf_blender.preview.facts import PREVIEW
 from hnf_blender.preview.losses import loss_sentence
-from hnf_blender.preview.outlet import ON_SURFACES, export_of, true_signal
+from hnf_blender.preview.outlet import export_of, true_signal
 from hnf_blender.props.export_formats import FORMAT_CHOICES
 from hnf_core.export.convert import import_signal
 from hnf_core.export.formats import FORMATS
@@ -106,7 +106,7 @@ def test_what_is_clipped_is_warned_of(folder, capfd) -> None:
 
 
 def test_formats_on_surfaces_lie_on_the_plate(folder) -> None:
-    assert ON_SURFACES == ("hjif", "glb")
+    assert [word for word, form in FORMATS.items() if form.surface] == ["hjif", "glb"]
     surface = export_of(stroke(), bpy.context, "glb").options.surface
     assert surface is not None
     assert surface.name == "Plate"

@@ -101,9 +101,15 @@ def test_the_earlier_file_survives_what_fails(tmp_path: Path, wav: Path, capsys:
     assert {name: (tmp_path / name).read_bytes() for name in os.listdir(tmp_path)} == before
 
 
-def test_a_file_may_be_exported_onto_itself(tmp_path: Path, wav: Path) -> None:
-    assert hnf("export", wav, "--format", "wav8k", "--out", wav) == 0
-    assert read_wav(wav).sample_rate == 8000.0
+def test_what_is_read_is_not_written_over(tmp_path: Path, wav: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = wav.read_bytes()
+    link = tmp_path / "link.wav"
+    link.symlink_to(wav)
+    for out in (wav, link):
+        assert hnf("export", wav, "--format", "wav8k", "--out", out) == 2
+        assert hnf("import", wav, "--full-scale", 30, "--out", out) == 2
+        assert "is the file that is read" in capsys.readouterr().err
+    assert wav.read_bytes() == before
 
 
 def test_a_wav_without_a_unit_is_brought_in_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -123,6 +129,10 @@ def test_a_wav_without_a_unit_is_brought_in_first(tmp_path: Path, capsys: pytest
     ("words", "why"),
     [
         (("--format", "mp3", "--out", "x"), "there is no format 'mp3'"),
+        (
+            ("--format", "csv", "--out", "x.csv", "--scene", "x.blend"),
+            "no place for --scene. Those that have: hjif, glb",
+        ),
         (("--format", "haptic", "--out", "x.haptic", "--full-scale", "-1"), "fits no device"),
         (("--format", "haptic", "--out", "x.haptic", "--full-scale", "nan"), "fits no device"),
         (("--format", "haptic", "--out", "x.haptic", "--range", "500", "50"), "is no range"),
@@ -159,7 +169,28 @@ def test_seeds_draw_the_carrier_and_rates_are_kept(tmp_path: Path, wav: Path) ->
     assert (made[0].sample_rate, made[0].seed, made[2].seed) == (8000.0, 1, 2)
 
 
-def test_a_name_may_hide_its_format(tmp_path: Path, wav: Path) -> None:
-    assert hnf("export", wav, "--format", "haptic", "--out", tmp_path / "clip.txt") == 0
+def test_other_programs_go_by_the_suffix(tmp_path: Path, wav: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for word in FORMATS:
+        assert hnf("export", wav, "--format", word, "--out", tmp_path / f"clip.{word}x") == 2
+        assert f"Give --out clip{FORMATS[word].suffix}" in capsys.readouterr().err
+    assert hnf("export", wav, "--format", "haptic", "--out", tmp_path / "clip.HAPTIC") == 0
+    (tmp_path / "clip.HAPTIC").rename(tmp_path / "clip.txt")
     assert hnf("import", tmp_path / "clip.txt", "--out", tmp_path / "y.wav") == 2
+    assert hnf("import", tmp_path / "clip.txt", "--format", "haptic", "--out", tmp_path / "y.mp3") == 2
     assert hnf("import", tmp_path / "clip.txt", "--format", "haptic", "--out", tmp_path / "y.wav") == 0
+
+
+def test_nobody_chose_full_scale(tmp_path: Path, wav: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("export", wav, "--format", "haptic", "--out", tmp_path / "x.haptic")
+    assert hnf(*words) == 0
+    assert "--profile" in capsys.readouterr().out
+    assert hnf(*words, "--full-scale", 30) == 0
+    assert "--profile" not in capsys.readouterr().out
+
+
+def test_what_is_lossless_is_told_in_a_sentence(tmp_path: Path, wav: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for word in ("wav", "hjif", "csv", "npz"):
+        assert hnf("export", wav, "--format", word, "--full-scale", 30, "--out", tmp_path / f"x.{word}") == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[1].startswith("Every sample reads back as it was: ")
+        assert all(line.startswith("- ") for line in lines[2:])

@@ -82,7 +82,7 @@ def test_dynamics_are_the_spread_of_levels() -> None:
 
 def test_silence_and_nothing_at_all_have_a_report() -> None:
     for samples in (np.zeros(100), np.zeros(0)):
-        shown = loss_table(loss_between(signal_of(samples), signal_of(samples), ("All of it.",)))
+        shown = loss_table(loss_between(signal_of(samples), signal_of(np.zeros(50)), ("All of it.",)))
         assert "silent" in shown
         assert shown.endswith("- All of it.")
 
@@ -94,3 +94,13 @@ def test_the_table_leaves_out_bands_that_say_nothing() -> None:
     assert "-6.0 dB" in quiet
     assert "354–707 Hz" not in quiet
     assert "above 1414 Hz" in loss_table(loss_between(texture(), signal_of(np.random.default_rng(0).normal(size=900))))
+
+
+def test_only_equal_samples_at_an_equal_rate_are_exact() -> None:
+    signal = texture()
+    nearly = signal.samples.copy()
+    nearly[7] = np.nextafter(nearly[7], np.float32(9.0))
+    assert loss_between(signal, signal_of(signal.samples.copy())).exact
+    assert not loss_between(signal, signal_of(nearly)).exact
+    assert not loss_between(signal, signal_of(signal.samples, 9999.0)).exact
+    assert not loss_between(signal, signal_of(signal.samples[:-1])).exact
