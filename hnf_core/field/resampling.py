@@ -20,6 +20,8 @@ ROLL_OFF = 0.95
 
 MOST_PHASES = 200_000
 """Every whole number of Hz up to it is met exactly; the clock of any other is right to 5 millionths."""
+_ROWS = 2**16
+"""At a time, so that an hour needs no more memory than a minute: each row is a kernel long."""
 
 
 def resample(samples: Float, rate_in: float, rate_out: float) -> tuple[Float, tuple[str, ...]]:
@@ -46,10 +48,13 @@ def resample(samples: Float, rate_in: float, rate_out: float) -> tuple[Float, tu
     for first in range(min(ratio.denominator, count)):
         # Output m stands at input m · ratio; every denominator-th shares a phase, and so a kernel.
         m = np.arange(first, count, ratio.denominator)
-        base = m * ratio.numerator // ratio.denominator
+        base = np.minimum(m * ratio.numerator // ratio.denominator, len(windows) - 1)
         distance = taps - (first * ratio.numerator % ratio.denominator) / ratio.denominator
         kernel = np.sinc(scale * distance) * _kaiser(distance / reach)
-        out[m] = windows[np.minimum(base, len(windows) - 1)] @ (kernel / kernel.sum())
+        kernel /= kernel.sum()
+        for start in range(0, len(m), _ROWS):
+            part = slice(start, start + _ROWS)
+            out[m[part]] = windows[base[part]] @ kernel
     return out, warnings
 
 
