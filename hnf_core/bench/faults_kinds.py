@@ -155,13 +155,13 @@ def wrong_version(rig: Rig) -> Outcome:
 
 
 def rate_lie(rig: Rig) -> Outcome:
-    """The sample clock is off by a tenth or more, to either side."""
+    """The sample clock is off by 15 to 30 %, to either side."""
 
     def pace(speed: float) -> None:
         rig.port.speed = speed
 
     rig.play_for_a_while()
-    off = float(rig.rng.choice([-1.0, 1.0]) * rig.rng.uniform(0.1, 0.3))
+    off = float(rig.rng.choice([-1.0, 1.0]) * rig.rng.uniform(0.15, 0.3))
     outcome = rig.ended(rig.strike(lambda: pace(1.0 + off)), Since.NOTICE)
     pace(1.0)
     named = all(f"{RATE_HZ} Hz" in words for words in outcome.messages)
