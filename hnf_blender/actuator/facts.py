@@ -54,5 +54,5 @@ def lines_of(link: Link) -> tuple[str, ...]:
     if status.underruns:
         lines.append(tr("Samples came too late {count} times").format(count=status.underruns))
     if link.is_live and status.latency_p99_ms > 0.0:
-        lines.append(tr("Made {latency} ms before they leave").format(latency=f"{status.latency_p99_ms:.0f}"))
+        lines.append(tr("From the pen to the device: {latency} ms").format(latency=f"{status.latency_p99_ms:.0f}"))
     return tuple(lines)

@@ -43,6 +43,7 @@ CHOSEN: dict[str, Cut] = {
     "panel-scene": Cut("tutorial/heard", (830, 80, 1090, 250)),
     "panel-materials": Cut("panels/baked", (767, 369, 1021, 662)),
     "panel-strokes": Cut("tutorial/heard", (830, 445, 1090, 934)),
+    "panel-actuator": Cut("actuator/playing", (717, 250, 1022, 775)),
     "assets": Cut("extension/asset-browser", (250, 55, 1255, 330)),
     "preferences": Cut("panels/preferences", (278, 1192, 972, 1398)),
     "tool-settings": Cut("tutorial/drawing", (0, 55, 1116, 82)),
