@@ -30,7 +30,8 @@ from ..errors import DeviceError
 from .frame import Options, Row, Spread
 
 NAME = "stream"
-SECONDS, QUICK_SECONDS = 600.0, 1.0
+SECONDS_A_REPEAT, QUICK_SECONDS = 120.0, 1.0
+"""10 minutes with the 5 repeats there are by default."""
 BAUDRATE = 3_000_000
 LIMITS = Limits(30.0, slew_per_s=2.0 * np.pi * 1000.0, sustained=0.5)
 SOFTLY = Limits(30.0, peak=0.01)
@@ -61,8 +62,8 @@ CASES = (
 
 
 def rows(options: Options, seconds: float | None = None) -> list[Row]:
-    """seconds: of each stream; None: SECONDS, or QUICK_SECONDS."""
-    length = seconds or (QUICK_SECONDS if options.quick else SECONDS)
+    """seconds: of each stream; None: SECONDS_A_REPEAT for each repeat, or QUICK_SECONDS."""
+    length = seconds or (QUICK_SECONDS if options.quick else SECONDS_A_REPEAT * options.repeats)
     found = []
     for case in CASES:
         options.watch(f"{NAME}: {case.method}, {length:g} s")
