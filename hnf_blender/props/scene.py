@@ -11,6 +11,7 @@ from hnf_core.actuators.profile import GENERIC, OWN, PROFILES, ActuatorProfile, 
 from ..compat import beside_the_file
 from .export_formats import FORMAT_ITEMS
 from .overriding import OVERRIDABLE
+from .profile_file import FILE, profile_in_file
 from .stroke import FORCE_MAX_N
 
 
@@ -51,8 +52,17 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
         items=[
             *((name, profile.title, profile.source) for name, profile in PROFILES.items()),
             (OWN, "My actuator", "A device of your own: enter what its data sheet says"),
+            (FILE, "Measured actuator", "A profile in a file, such as hnf actuators measure writes"),
         ],
         default=GENERIC.name,
+        override=OVERRIDABLE,
+    )
+    actuator_file: bpy.props.StringProperty(
+        name="Profile",
+        description="File of the measured actuator's profile. On that actuator its response is made up for",
+        default="",
+        subtype="FILE_PATH",
+        options=beside_the_file(),
         override=OVERRIDABLE,
     )
     own_peak_m_s2: bpy.props.FloatProperty(
@@ -130,6 +140,8 @@ def actuator_of(scene: Any) -> ActuatorProfile:
     settings = scene.hnf
     if settings.actuator == OWN:
         return own_profile(settings.own_peak_m_s2, settings.own_lowest_hz, settings.own_highest_hz)
+    if settings.actuator == FILE:
+        return profile_in_file(bpy.path.abspath(settings.actuator_file))
     return PROFILES.get(settings.actuator, GENERIC)
 
 

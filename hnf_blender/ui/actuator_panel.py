@@ -10,6 +10,7 @@ from hnf_core.actuators.profile import OWN, ActuatorProfile
 
 from ..actuator.choice import chosen_output, outputs, plays_whole, title_of
 from ..actuator.state import ACTUATOR, SPEAKERS, VIRTUAL, ActuatorFacts, Phase
+from ..props.profile_file import FILE
 from ..props.scene import actuator_of
 from ..translations import tr
 from .layout import TouchPanel, hint, named, paragraph, side_by_side
@@ -47,6 +48,8 @@ class HNF_PT_actuator(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noq
         if settings.actuator == OWN:
             draw_own(layout, settings)
         else:
+            if settings.actuator == FILE:
+                layout.prop(settings, "actuator_file", text="")
             profile = actuator_of(context.scene)
             column = layout.column(align=True)
             for line in profile_lines(profile):

@@ -22,7 +22,10 @@ from hnf_blender.actuator.link import AGAIN, Link, where_of
 from hnf_blender.actuator.process import commands
 from hnf_blender.actuator.state import VIRTUAL, Phase
 from hnf_blender.actuator.sweep import SHARE, sweep
-from hnf_core.actuators.profile import GENERIC, PROFILES, own_profile
+from hnf_blender.props import profile_file
+from hnf_blender.props.scene import actuator_of
+from hnf_core.actuators.profile import GENERIC, PROFILES, ActuatorProfile, own_profile
+from hnf_core.actuators.profile_file import write_profile
 from hnf_core.errors import DeviceError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -250,6 +253,28 @@ def test_the_limits_are_those_of_the_scenes_actuator() -> None:
     own = where_of(VIRTUAL, own_profile(12.0, 40.0, 400.0))
     assert (own.profile, own.own) == ("own", (12.0, 40.0, 400.0))
     assert where_of(VIRTUAL, own_profile(0.0, 40.0, 400.0)).own[0] == 0.0
+
+
+def test_a_measured_profile_is_the_files_and_is_read_again_where_it_is_played(link, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(profile_file, "LOOK_S", 1e-6)
+    scene, path = bpy.context.scene, tmp_path / "mine.json"
+    scene.hnf.actuator = "file"
+    assert "no profile is chosen" in actuator_of(scene).source
+    scene.hnf.actuator_file = str(path)
+    unread = actuator_of(scene)
+    assert "cannot be read" in unread.source
+    assert unread.peak_m_s2 is None
+    link.play(dataclasses.replace(tone(0.3), profile=unread))
+    assert until(link, lambda: link.problem)
+    assert "mine.json" in link.problem
+    write_profile(path, ActuatorProfile("mine", "Mine", "measured here", (30.0, 500.0), peak_m_s2=4.0))
+    found = actuator_of(scene)
+    assert (found.title, found.peak_m_s2) == ("Mine", 4.0)
+    assert where_of(VIRTUAL, found).profile == str(path)
+    link.play(dataclasses.replace(tone(0.3, level=2.0), profile=found))
+    assert until(link, lambda: link.newest is not None and not link.is_playing)
+    assert link.problem == ""
+    assert link.newest.status.peak == pytest.approx(0.5, abs=0.05)
 
 
 @pytest.mark.parametrize("profile", [*PROFILES.values(), own_profile(0.0, 50.0, 50.0)], ids=lambda each: each.name)
