@@ -35,9 +35,9 @@ class Speakers:
         self.stop()
         aud = audio()
         try:
-            if self._device is None:
-                self._device = aud.Device(chosen_device())
-            self._handle = self._device.play(aud.Sound.buffer(np.ascontiguousarray(samples, dtype=np.float32), rate))
+            self._handle = self._opened(aud).play(
+                aud.Sound.buffer(np.ascontiguousarray(samples, dtype=np.float32), rate)
+            )
             if loop:
                 self._handle.loop_count = -1
             silent = not self._handle.status
@@ -47,6 +47,20 @@ class Speakers:
         if silent and len(samples):
             self._handle = None
             raise SceneError("there is no sound device.", remedy=NO_SOUND)
+
+    def rate_hz(self) -> float:
+        """At which the device plays. Raises SceneError without one."""
+        try:
+            return float(self._opened(audio()).rate)
+        except SceneError:
+            raise
+        except Exception as error:
+            raise SceneError(f"the sound device does not open ({error}).", remedy=NO_SOUND) from error
+
+    def _opened(self, aud: Any) -> Any:
+        if self._device is None:
+            self._device = aud.Device(chosen_device())
+        return self._device
 
     def stop(self) -> None:
         if self._handle is not None and self._handle.status:

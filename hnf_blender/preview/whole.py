@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from hnf_core.actuators.limiter import Limiter
 from hnf_core.actuators.limits import COUNTS, Limits
+from hnf_core.actuators.resample import resampler
 
 from ..actuator.sound import Sound
 from .device import Speakers
@@ -21,9 +22,9 @@ class Whole:
 
     def play(self, sound: Sound) -> None:
         """Raises SceneError without a sound device."""
-        begin = round(sound.start_s * sound.rate)
-        samples = limited(sound.samples[begin:], sound.rate, sound.profile.limits, loop=sound.loop)
-        self._speakers.sound(samples, sound.rate, loop=sound.loop)
+        begin, to_hz = round(sound.start_s * sound.rate), self._speakers.rate_hz()
+        samples = limited(sound.samples[begin:], sound.rate, to_hz, sound.profile.limits, loop=sound.loop)
+        self._speakers.sound(samples, to_hz, loop=sound.loop)
 
     def change(self, sound: Sound) -> None:
         self.play(sound)
@@ -47,17 +48,22 @@ class Whole:
         self._speakers.release()
 
 
-def limited(samples: NDArray[np.float32], rate: float, limits: Limits, *, loop: bool = False) -> NDArray[np.float32]:
-    """(n,) m/s² → (n + m, 1) shares of full scale within limits, softly begun and ended.
+def limited(
+    samples: NDArray[np.float32], from_hz: float, to_hz: float, limits: Limits, *, loop: bool = False
+) -> NDArray[np.float32]:
+    """(n,) m/s² → (m, 1) shares of full scale within limits, softly begun and ended, at the device's own rate: what
+    Blender's sound converts afterwards might overshoot.
 
     loop: over and over, so that in the end the coil's mean square is the sound's own: it is made softer as a whole
     where that is more than the coil carries for ever.
     """
-    limiter = Limiter(limits, rate, 1)
-    given = np.nan_to_num(samples.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0)[:, None]
+    finite = np.where(np.isfinite(samples), samples, 0.0).astype(np.float32)[:, None]
+    converter = resampler(from_hz, to_hz, 1, prompt=False)
+    given = np.concatenate([converter.process(finite), converter.finish()]).astype(np.float64)
     most = limits.sustained * limits.full_scale_m_s2
     rms = float(np.sqrt(np.mean(np.square(given)))) if len(given) else 0.0
     if loop and rms > most:
         given = given * (most / rms)
+    limiter = Limiter(limits, to_hz, 1)
     counts = np.concatenate([limiter.process(given), limiter.release()])
     return np.ascontiguousarray(counts.astype(np.float32) / np.float32(COUNTS))

@@ -226,15 +226,22 @@ bounds = st.builds(
 
 
 @settings(max_examples=40, deadline=None)
-@given(limits=bounds, level=st.floats(0.0, 200.0), loop=st.booleans(), seed=st.integers(0, 2**16))
-def test_played_whole_it_keeps_the_limits(limits, level, loop, seed) -> None:
+@given(
+    limits=bounds,
+    level=st.floats(0.0, 200.0),
+    to_hz=st.sampled_from([8000.0, 10_000.0, 44_100.0]),
+    loop=st.booleans(),
+    seed=st.integers(0, 2**16),
+)
+def test_played_whole_it_keeps_the_limits(limits, level, to_hz, loop, seed) -> None:
     samples = (level * np.random.default_rng(seed).standard_normal(4000)).astype(np.float32)
     samples[7] = np.nan
-    out = limited(samples, RATE_HZ, limits, loop=loop).astype(np.float64)
+    out = limited(samples, RATE_HZ, to_hz, limits, loop=loop).astype(np.float64)
+    assert len(out) >= int(0.4 * to_hz)
     assert out.shape[1] == 1
     assert np.abs(out).max(initial=0.0) <= limits.peak + 1e-7
     assert out[-1, 0] == 0.0
-    assert np.abs(np.diff(out[:, 0], prepend=0.0)).max() <= limits.slew_per_s / RATE_HZ + 1.0 / 32767
+    assert np.abs(np.diff(out[:, 0], prepend=0.0)).max() <= limits.slew_per_s / to_hz + 1.0 / 32767
     if loop:  # over and over, the coil warms to the mean square of one turn
         assert np.mean(np.square(out)) <= limits.sustained**2 * 1.001 + 1e-6
 

@@ -189,6 +189,23 @@ def check_a_player_that_dies(stage):
     stage.expect("and nothing is wrong any more", not facts().problem, facts().problem)
 
 
+def check_a_sound_output_without_its_library(stage):
+    """This machine has no PortAudio: Blender's own sound plays instead, within the limits."""
+    stage.require("a sound device, one that plays to nowhere", stage.take_sound_device() != "None")
+    stage.require("no PortAudio", "sounddevice" in ours("actuator.state").ACTUATOR.without)
+    yield from choose(stage, "audio")
+    player = ours("preview.current").PLAYER
+    with stage.over():
+        stage.expect("pressed", bpy.ops.hnf.preview_play() == {"FINISHED"})
+    yield from stage.until("it sounds", lambda: player.is_playing, SOON_S)
+    stage.expect("without a player's process", not link().is_running)
+    yield from stage.picture("whole", settle=0.3)
+    with stage.over():
+        bpy.ops.hnf.preview_stop()
+    stage.expect("silent", not player.is_playing)
+    yield from choose(stage, "virtual")
+
+
 def check_another_file_is_silence(stage):
     bpy.context.scene.hnf.loop = True
     with stage.over():
