@@ -105,7 +105,7 @@ def run(arguments: argparse.Namespace, read_scene: SceneReader = no_scene) -> in
     exported = export_signal(signal, form, arguments.out, options)
     print(json.dumps(exported.to_json(), indent=1) if arguments.json else exported.report())
     if exported.clipped:
-        print(f"hnf: {exported.clipped} Give a larger --full-scale, or a stronger actuator.", file=sys.stderr)
+        print("hnf: what was clipped fits a larger --full-scale, or a stronger actuator.", file=sys.stderr)
     elif form.scaled and full_scale is None and not arguments.json:
         print(f"- 1 is {FULL_SCALE_M_S2:g} m/s², the generic voice coil's: --profile or --full-scale say otherwise.")
     return 0

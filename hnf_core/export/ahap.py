@@ -43,15 +43,22 @@ _DIGITS = 6
 
 Curve = tuple[Float, Float]
 """Times, and values between which lines run."""
+Pause = tuple[float, float, float, float]
+"""Its start, the click's time, its end, and the click's amplitude."""
 
 
 def write_ahap(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-    """What was left out. Raises FileError where a sample is not finite, the disk refuses, or the signal is empty: a
-    pattern needs an event, and an event a length."""
+    """What was left out. Raises FileError where a sample is not finite, the disk refuses, there are too many clicks,
+    or the signal is empty: a pattern needs an event, and an event a length."""
     if len(signal.samples) == 0:
         raise FileError("an empty signal makes no pattern.", where=str(path), remedy="Give one with samples in it.")
     envelope = envelope_of(signal, options.range_hz, where=str(path))
     pattern, clipped = ahap_pattern(envelope, options)
+    if sum("Event" in entry for entry in pattern) > MOST_EVENTS:
+        why = (
+            f"{len(envelope.emphases)} clicks make more than the {MOST_EVENTS} events of a pattern that is read again."
+        )
+        raise FileError(why, where=str(path), remedy="Split the signal, or write WAV.")
     metadata = {
         "Project": str(signal.provenance.get("stroke", "")),
         "Created": EDITOR,
@@ -74,9 +81,7 @@ def ahap_pattern(envelope: Envelope, options: ExportOptions) -> tuple[list[dict[
     entries: list[dict[str, Any]] = []
     for start, stop in zip(borders[::2], borders[1::2], strict=True):
         entries += _continuous(round(start, _DIGITS), round(stop, _DIGITS))
-    time, paused = envelope.time, intensity
-    for start, _, stop, _ in pauses:
-        time, paused = _raised(time, paused, start, stop)
+    time, paused = _raised(envelope.time, intensity, pauses)
     entries += _curves(INTENSITY, time, paused, control_points(time, paused, options.error * float(intensity.max())))
     entries += _curves(SHARPNESS, envelope.time, np.sqrt(share), tone_points(envelope))
     for _, at, _, amplitude in pauses:
@@ -85,8 +90,8 @@ def ahap_pattern(envelope: Envelope, options: ExportOptions) -> tuple[list[dict[
     return entries, beyond(envelope, options)
 
 
-def _pauses(envelope: Envelope) -> list[tuple[float, float, float, float]]:
-    """Start, click, stop and amplitude of each, within the signal and before its last RISE_S / 2."""
+def _pauses(envelope: Envelope) -> list[Pause]:
+    """Of each click, within the signal and before its last RISE_S / 2."""
     end, half = envelope.duration_s, 0.5 * EMPHASIS_S
     found = []
     for each in envelope.emphases if end > 4.0 * RISE_S else ():
@@ -96,17 +101,24 @@ def _pauses(envelope: Envelope) -> list[tuple[float, float, float, float]]:
     return found
 
 
-def _raised(time: Float, value: Float, start: float, stop: float) -> Curve:
-    """The curve at 1 from start to stop, but for a rise of RISE_S / 4 inside both ends."""
-    edges = np.array([start, start + 0.25 * RISE_S, stop - 0.25 * RISE_S, stop])
-    heights = np.array([np.interp(start, time, value), 1.0, 1.0, np.interp(stop, time, value)])
-    if start == 0.0:
-        edges, heights = edges[1:] * [0, 1, 1], heights[1:]
-    # Two points nearer than this could be one once their times are rounded.
-    apart = 0.1 * RISE_S
-    outside = (time < edges[0] - apart) | (time > edges[-1] + apart)
-    order = np.argsort(np.concatenate([time[outside], edges]), kind="stable")
-    return np.concatenate([time[outside], edges])[order], np.concatenate([value[outside], heights])[order]
+def _raised(time: Float, value: Float, pauses: list[Pause]) -> Curve:
+    """The curve at 1 during each pause, but for a rise of RISE_S / 4 inside both its ends."""
+    outside = np.ones(len(time), bool)
+    times, values = [], []
+    for start, _, stop, _ in pauses:
+        edges = np.array([start, start + 0.25 * RISE_S, stop - 0.25 * RISE_S, stop])
+        heights = np.array([np.interp(start, time, value), 1.0, 1.0, np.interp(stop, time, value)])
+        if start == 0.0:
+            edges, heights = edges[1:] * [0, 1, 1], heights[1:]
+        # Two points nearer than this could be one once their times are rounded.
+        apart = 0.1 * RISE_S
+        outside[np.searchsorted(time, edges[0] - apart) : np.searchsorted(time, edges[-1] + apart, side="right")] = (
+            False
+        )
+        times.append(edges)
+        values.append(heights)
+    order = np.argsort(np.concatenate([time[outside], *times]), kind="stable")
+    return np.concatenate([time[outside], *times])[order], np.concatenate([value[outside], *values])[order]
 
 
 def _continuous(start: float, end: float) -> Iterator[dict[str, Any]]:

@@ -11,7 +11,7 @@ origin stand as JSON in the three descriptions (255 bytes each at most).
 
 * A stroke alone: perception_modality Vibrotactile, ticks of time at the signal's own rate.
 * With the surface it was drawn on: VibrotactileTexture, ticks of way (10^unit_exponent m), a channel whose `vertices`
-  are those under the stroke, in the mesh that the avatar names: the stroke's .glb, written beside. timescale is the
+  are those under the stroke, in the mesh that the avatar names: NAME.hjif.glb, written beside. timescale is the
   mean speed in ticks a second, so that a player that knows time alone plays it at that speed.
 """
 
@@ -30,11 +30,12 @@ from numpy.typing import NDArray
 
 from .. import __version__
 from ..errors import FileError
-from ..files import write_bytes, write_text
+from ..files import write_bytes
 from ..signal import Signal
 from ..units import m_to_mm
 from .glb import surface_bytes
 from .gltf_mesh import vertex_table, vertices_under
+from .json_files import write_json
 from .options import ExportOptions
 from .samples import finite_samples
 from .surface import StrokePath
@@ -66,22 +67,22 @@ class Texture:
 
 
 def write_hjif(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
-    """Write signal as .hjif, and beside it the .glb of the surface where options name one and the way on it is known.
+    """Write signal as .hjif, and beside it the surface as .hjif.glb, where options name one and the way on it is known.
 
     Returns what was left out. Raises FileError where the signal is not finite or longer than the format holds.
     """
     surface, texture = options.surface, None
+    mesh, beside = path.with_name(f"{path.name}.glb"), b""
     left_out: list[str] = []
     if surface is not None and surface.path is not None and surface.path.mean_speed_m_s > 0.0:
-        mesh = path.with_suffix(".glb")
         table = vertex_table(surface)
         vertices = vertices_under(surface, table)
         texture = texture_of(signal, surface.path, vertices[:MOST_VERTICES], mesh.name, str(path))
-        write_bytes(mesh, surface_bytes(surface, table, signal, where=str(mesh)))
+        beside = surface_bytes(surface, table, signal, where=str(mesh))
         left_out.append(
             f"Time and force: a texture lies along the stroke's way of {m_to_mm(surface.path.length_m):.3g} mm, as it "
             f"was pressed, without the moments at rest; read back, it is played at its mean speed, "
-            f"{m_to_mm(surface.path.mean_speed_m_s):.3g} mm/s."
+            f"{m_to_mm(surface.path.mean_speed_m_s):.3g} mm/s. Its vertices are those of {mesh.name}, beside it."
         )
         if len(vertices) > MOST_VERTICES:
             left_out.append(f"{len(vertices) - MOST_VERTICES} of {len(vertices)} vertices: a channel counts 65535.")
@@ -91,12 +92,12 @@ def write_hjif(path: Path, signal: Signal, options: ExportOptions) -> tuple[str,
         left_out.append("The vertices: they are on the baked scene, which was not given.")
     cut = [name for name in signal.provenance if name not in _told(signal.provenance)]
     if cut:
-        left_out.append(
-            f"Of the signal's origin: {', '.join(sorted(cut))}, which the .json has; a description holds 255 bytes."
-        )
+        left_out.append(f"Of its origin: {', '.join(sorted(cut))}. A description holds 255 bytes; the .json has all.")
     today = datetime.date.today().isoformat()
     tree = hjif_tree(signal, options, date=today, texture=texture, where=str(path))
-    write_text(path, json.dumps(tree, separators=(",", ":"), ensure_ascii=False))
+    if beside:
+        write_bytes(mesh, beside)
+    write_json(path, tree, indent=None)
     return tuple(left_out)
 
 

@@ -154,7 +154,7 @@ def _scale(text: object, options: ImportOptions) -> _Scale:
 def _facts(path: Path, perception: dict[str, Any], scale: _Scale) -> dict[str, str]:
     """Provenance: as it was told, and where not, what was assumed."""
     if not scale.told:
-        said = f"1 = {scale.full_scale:g} m/s² (assumed, the file states none)"
+        said = f"1 = {scale.full_scale:g} m/s² (the file states none)"
         return {"source": path.name, "scale": said, "modality": str(perception.get("perception_modality"))}
     try:
         told = json.loads(str(perception.get("description")))

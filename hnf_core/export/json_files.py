@@ -49,10 +49,12 @@ def read_json(path: Path) -> dict[str, Any]:
     return found
 
 
-def write_json(path: Path, record: dict[str, Any]) -> None:
-    """Atomically; equal records give equal bytes. Raises FileError where it would be larger than is read again, or the
-    disk refuses."""
-    data = (json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+def write_json(path: Path, record: dict[str, Any], *, indent: int | None = 1) -> None:
+    """Atomically; indent None: on one line, without blanks. Equal records give equal bytes. Raises FileError where it
+    would be larger than is read again, or the disk refuses."""
+    separators = (",", ":") if indent is None else None
+    text = json.dumps(record, indent=indent, separators=separators, ensure_ascii=False, allow_nan=False)
+    data = (text + "\n").encode()
     if len(data) > LARGEST_BYTES:
         why = f"it would be {len(data) / 2**20:.0f} MB of text, and {LARGEST_BYTES / 2**20:.0f} are read again."
         raise FileError(why, where=str(path), remedy="Split the signal, or write WAV.")

@@ -63,7 +63,7 @@ def origin_of(text: object, options: ImportOptions) -> Origin:
 def rendered_facts(origin: Origin, name: str, ignored: tuple[str, ...] = ()) -> dict[str, str]:
     """Provenance of what was rendered from the envelopes in the file called name."""
     low, high = origin.range_hz
-    said = "stated in the file" if origin.stated else "assumed, the file states none"
+    said = "stated in the file" if origin.stated else "the file states none"
     facts = {
         **origin.provenance,
         "source": name,

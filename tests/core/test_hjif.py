@@ -117,11 +117,11 @@ def test_with_its_surface_a_texture_names_the_vertices_under_the_stroke(tmp_path
     (perception,) = tree["perceptions"]
     assert perception["perception_modality"] == "VibrotactileTexture"
     assert perception["unit_exponent"] == -5
-    assert tree["avatars"] == [{"id": 1, "lod": 0, "type": "Custom", "mesh": "x.glb"}]
+    assert tree["avatars"] == [{"id": 1, "lod": 0, "type": "Custom", "mesh": "x.hjif.glb"}]
     assert perception["avatar_id"] == 1
     table = vertex_table(surface)
-    assert (tmp_path / "x.glb").read_bytes() == surface_bytes(surface, table, signal)
-    parts, block = glb_parts((tmp_path / "x.glb").read_bytes(), path)
+    assert (tmp_path / "x.hjif.glb").read_bytes() == surface_bytes(surface, table, signal)
+    parts, block = glb_parts((tmp_path / "x.hjif.glb").read_bytes(), path)
     accessor = parts["accessors"][parts["meshes"][0]["primitives"][0]["attributes"]["POSITION"]]
     view = parts["bufferViews"][accessor["bufferView"]]
     positions = np.frombuffer(block, "<f4", 3 * accessor["count"], view["byteOffset"]).reshape(-1, 3)
@@ -143,7 +143,7 @@ def test_a_texture_is_the_signal_over_the_way(speed: float) -> None:
     seconds, hertz = 0.3, 40.0
     time = np.linspace(0.0, seconds, 61)
     path = StrokePath(time, speed * time, np.zeros(61, np.int32))
-    texture = texture_of(rough_tone(seconds, hertz), path, np.zeros(0, np.int32), "x.glb")
+    texture = texture_of(rough_tone(seconds, hertz), path, np.zeros(0, np.int32), "x.hjif.glb")
     tick = 10.0**texture.exponent
     assert texture.rate <= 48_000
     assert texture.rate == pytest.approx(speed / tick, abs=0.5)
@@ -159,7 +159,9 @@ def test_where_the_hand_rests_a_texture_has_nothing() -> None:
     distance = 0.1 * np.minimum(time, 0.1) + 0.1 * np.maximum(time - 0.2, 0.0)
     rest = (np.arange(3000) > 1010) & (np.arange(3000) < 1990)
     signal = Signal(np.where(rest, 9.0, 1.0).astype(np.float32), RATE, 0)
-    texture = texture_of(signal, StrokePath(time, distance, np.zeros(61, np.int32)), np.zeros(0, np.int32), "x.glb")
+    texture = texture_of(
+        signal, StrokePath(time, distance, np.zeros(61, np.int32)), np.zeros(0, np.int32), "x.hjif.glb"
+    )
     assert len(texture.samples) == 2001
     assert np.count_nonzero(texture.samples > 1.5) <= 60  # of the 5 ms in which the hand comes to rest
     assert texture.rate == RATE
@@ -168,7 +170,7 @@ def test_where_the_hand_rests_a_texture_has_nothing() -> None:
 def test_a_surface_without_a_way_is_said(tmp_path: Path) -> None:
     (said,) = write_hjif(tmp_path / "x.hjif", rough_tone(), ExportOptions(surface=touched_sheet(path=False)))
     assert "vertices" in said
-    assert not (tmp_path / "x.glb").exists()
+    assert not (tmp_path / "x.hjif.glb").exists()
 
 
 @pytest.mark.parametrize(
@@ -199,7 +201,7 @@ def test_curves_of_others(tmp_path: Path) -> None:
     time = np.arange(251) / 10.0 - 5.0
     line = np.clip(1.0 - np.abs(time - 10.0) / 10.0, 0.0, None)
     np.testing.assert_allclose(found.samples, 10.0 * line, atol=1e-5)
-    assert "assumed" in found.provenance["scale"]
+    assert "states none" in found.provenance["scale"]
     cubic = back(tmp_path, file_of(effect(*keys, position=5), curve_type="Cubic"), ImportOptions(full_scale_m_s2=1.0))
     np.testing.assert_allclose(cubic.samples, line * line * (3.0 - 2.0 * line), atol=1e-6)
 

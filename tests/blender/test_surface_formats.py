@@ -42,7 +42,8 @@ def baked(rendered_plate, tmp_path_factory) -> tuple[Path, Path]:
 def export(wav: Path, word: str, out: Path, *words: str) -> tuple[dict, bytes]:
     """JSON and bytes of the GLB that lies at out, or beside it."""
     assert main(["export", str(wav), "--format", word, "--out", str(out), *words]) == 0
-    return glb_parts(out.with_suffix(".glb").read_bytes(), out)
+    lies = out if out.suffix == ".glb" else out.with_name(f"{out.name}.glb")
+    return glb_parts(lies.read_bytes(), out)
 
 
 def imported(path: Path):
@@ -123,7 +124,7 @@ def test_an_hjif_names_the_vertices_of_the_mesh_beside_it(baked, tmp_path) -> No
     out = tmp_path / "x.hjif"
     tree, block = export(wav, "hjif", out, "--scene", str(blend), "--object", PLATE)
     record = json.loads(out.read_text(encoding="utf-8"))
-    assert record["avatars"][0]["mesh"] == "x.glb"
+    assert record["avatars"][0]["mesh"] == "x.hjif.glb"
     (perception,) = record["perceptions"]
     assert perception["perception_modality"] == "VibrotactileTexture"
     accessor = tree["accessors"][tree["meshes"][0]["primitives"][0]["attributes"]["POSITION"]]
