@@ -15,6 +15,7 @@ import time
 import weakref
 from collections.abc import Sequence
 from concurrent.futures import Future
+from contextlib import suppress
 from types import TracebackType
 
 import numpy as np
@@ -113,8 +114,10 @@ class Stream:
             threads = list(self._threads)
         if not threads:
             self._ended.set()
-        elif threading.current_thread() not in threads:  # a source or a sink that stops its own stream goes on first
-            self._ended.wait(2.0 * _JOIN_S)
+        elif threading.current_thread() in threads:
+            pass  # a source or a sink that stops its own stream goes on first
+        elif not self._ended.wait(2.0 * _JOIN_S):
+            self._tell(DeviceError("the device does not answer.", remedy="Unplug it, plug it in, and try again."), "")
 
     def pause(self) -> None:
         """Fade out and hold the source where it is; the device goes on with silence."""
@@ -193,6 +196,7 @@ class Stream:
         calm.hold()
         try:
             device = self._sink.open()
+            _stop_first_at_exit()
             heat = WARMTH.heat(device.device, self._limits, device.channels)
             chain = Chain(self._source, device, self._limits, self._stages, prompt=self._prompt, heat=heat)
             frames = max(round(self._block_s * device.rate_hz), 1)
@@ -251,6 +255,8 @@ class Stream:
             if self._ring is not None:
                 self._ring.close()
             self._sink.close()
+            with suppress(Exception):  # a file, say, that could not be written after all
+                self._tell(DeviceError(self._sink.status().problem), "")
             if producer is not None and producer.ident is not None:
                 producer.join(_JOIN_S)
                 if producer.is_alive():
@@ -276,8 +282,13 @@ _NONE: Counts = np.zeros((0, 1), dtype=np.int16)
 _live: weakref.WeakSet[Stream] = weakref.WeakSet()
 
 
-@atexit.register
 def _stop_all() -> None:
     """The interpreter ends: so does all that still plays."""
     for stream in list(_live):
         stream.stop()
+
+
+def _stop_first_at_exit() -> None:
+    """What was registered last runs first: a library that a sink has just loaded would end below what still plays."""
+    atexit.unregister(_stop_all)
+    atexit.register(_stop_all)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -177,6 +178,29 @@ def test_a_device_that_goes_is_told_once_and_can_be_opened_again(server: SoundSe
         sink.finish(1.0)
         assert sink.status().played == 2000
         sink.close()
+
+
+@needs_server
+def test_what_still_plays_ends_softly_with_the_interpreter(server: SoundServer) -> None:
+    code = f"""
+import sys; sys.path.insert(0, {str(Path(__file__).parents[2])!r})
+import numpy as np
+from hnf_core.actuators.limits import Limits
+from hnf_core.actuators.sinks.audio import AudioSink
+from hnf_core.actuators.sources.recorded import Recorded
+from hnf_core.actuators.stream import Stream
+stream = Stream(Recorded(np.ones((500, 1)), 10000.0, loop=True), AudioSink(queue_s={CALM_S}), Limits(10.0))
+stream.start()
+while stream.report.played_s < 0.5 and not stream.wait(0.01):
+    pass
+"""
+    with server.recording() as found:
+        run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert run.returncode == 0
+    assert "Traceback" not in run.stderr
+    heard = found[0][:, 0].astype(int)
+    assert heard.max() > 3000
+    assert np.abs(np.diff(heard)).max() < 300, "it fades"
 
 
 @needs_server

@@ -18,6 +18,7 @@ from stream_sink import ClockSink, check_sink
 from hnf_core.actuators.chain import Chain, counts_of
 from hnf_core.actuators.limits import COUNTS, Limits
 from hnf_core.actuators.sink import SinkFormat
+from hnf_core.actuators.sinks.file import FileSink
 from hnf_core.actuators.source import Samples
 from hnf_core.actuators.sources.recorded import Recorded
 from hnf_core.actuators.stream import Stream
@@ -225,6 +226,31 @@ def test_any_fault_of_a_sink_is_told_too() -> None:
     stream.start()
     assert stream.wait(60.0)
     assert "ZeroDivisionError" in stream.report.problem
+    assert at_rest()
+
+
+def test_a_device_that_blocks_holds_up_nobody_who_stops(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hnf_core.actuators.stream._JOIN_S", 0.05)
+    asked, block, sink = threading.Event(), threading.Event(), ClockSink()
+    sink.write = lambda counts: asked.set() or block.wait(30.0)  # type: ignore[assignment,method-assign,func-returns-value]
+    stream = Stream(Recorded(noise(LONG_S), 10000.0), sink, LIMITS)
+    stream.start()
+    assert asked.wait(60.0)
+    stream.stop()
+    assert not stream.wait(0.0)
+    assert "does not answer" in stream.report.problem
+    block.set()
+    assert at_rest()
+    assert stream.wait(0.0)
+    assert sink.calls == ["open", "stop", "close"]
+
+
+def test_a_file_that_cannot_be_written_is_told_after_a_stop_too(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("a file, no folder")
+    stream = Stream(Recorded(noise(LONG_S), 10000.0, loop=True), FileSink(tmp_path / "taken" / "x.wav", 10000), LIMITS)
+    stream.start()
+    stream.stop()
+    assert str(tmp_path / "taken") in stream.report.problem
     assert at_rest()
 
 

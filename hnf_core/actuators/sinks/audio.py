@@ -127,7 +127,7 @@ class AudioSink:
         would cut off the end of a fade."""
         until, held = time.monotonic() + timeout_s, 2.0 * float(stream.latency) * float(stream.samplerate)
         quiet_at: int | None = None
-        while stream.active and time.monotonic() < until:
+        while _active(stream) and time.monotonic() < until:
             told = self._told
             if self._incoming or not told.silent:
                 quiet_at = None
@@ -172,7 +172,7 @@ class AudioSink:
     def _check(self) -> None:
         if self._stream is None:
             raise self._refused(self._problem or "is closed", "Start again.")
-        if self._stream.active and time.monotonic() - self._called_at < SILENT_CALLBACK_S:
+        if _active(self._stream) and time.monotonic() - self._called_at < SILENT_CALLBACK_S:
             return
         self._problem = "no longer takes sound: it was unplugged, or its sound server ended"
         self.close()
@@ -201,6 +201,14 @@ class _Told(NamedTuple):
     underruns: int = 0
     missed: int = 0
     silent: bool = True
+
+
+def _active(stream: Any) -> bool:
+    """A stream whose sound system is gone is none."""
+    try:
+        return bool(stream.active)
+    except library("sounddevice").PortAudioError:
+        return False
 
 
 def _found(sounddevice: Any, device: str | int | None) -> Any:
