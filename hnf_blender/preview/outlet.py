@@ -41,8 +41,9 @@ def true_signal(obj: Any, context: Any) -> Signal:
     status, where = STATE.strokes.get(obj.name), f"stroke '{obj.name}'"
     if status is None or status.freshness not in (Freshness.FRESH, Freshness.FORCE):
         why = status.why if status is not None else "it is not in this scene."
-        in_edit_mode = status is not None and status.freshness is Freshness.UNKNOWN
-        remedy = "Leave Edit Mode first." if in_edit_mode else ""  # other reasons say what to do
+        # Other reasons say what to do.
+        remedies = {Freshness.UNKNOWN: "Leave Edit Mode first.", Freshness.UNBAKED: "Bake it first."}
+        remedy = "" if status is None else remedies.get(status.freshness, "")
         raise SceneError(why.removeprefix(f"{where}: "), where=where, remedy=remedy)
     now = present(obj, context.scene)
     if now is None:
