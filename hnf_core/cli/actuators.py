@@ -16,7 +16,16 @@ from ..actuators.measure.felt import felt, felt_bands
 from ..actuators.measure.profiled import Measured, profiled
 from ..actuators.profile import GENERIC, PROFILES, ActuatorProfile
 from ..actuators.profile_file import profile_at, write_profile
-from ..actuators.targets import AudioTarget, Devices, VirtualTarget, devices, parse_target, sink_of
+from ..actuators.targets import (
+    AudioTarget,
+    Devices,
+    FileTarget,
+    OscTarget,
+    VirtualTarget,
+    devices,
+    parse_target,
+    sink_of,
+)
 from ..errors import UsageError
 from ..export.wav import read_wav, write_wav
 from ..field.carriers import MODEL_RATE_HZ
@@ -114,6 +123,11 @@ def run_list(arguments: argparse.Namespace) -> int:
     for each in found.all:
         print(f"{each.target:<32}  {each.title}" + (f" ({each.facts})" if each.facts else ""))
     print(f"{'virtual':<32}  a simulated voice coil, reached as a serial device is")
+    print(f"{'osc:HOST:PORT':<32}  envelopes, for a program that listens to OSC")
+    print(f"{'file:PATH':<32}  a WAV of what would go on the wire")
+    for what, there in (("serial port", found.serial), ("sound output", found.audio)):
+        if not there:
+            print(f"no {what} found")
     for line in found.missing:
         print(f"not listed: {line}")
     print("\nprofiles:")
@@ -209,10 +223,15 @@ def _asked_and_got(arguments: argparse.Namespace, base: ActuatorProfile) -> tupl
         raise UsageError(f"--sensitivity {sensitivity:g} is no acceleration.", remedy="Give m/s² at full scale.")
     if arguments.played is not None:
         asked, came = read_wav(arguments.played), read_wav(arguments.response)
-        true = arguments.sensitivity is not None or came.provenance.get("units") is None
+        stated = came.provenance.get("units") is None
+        if stated and arguments.sensitivity is not None:
+            raise UsageError("it is in m/s² already.", where=str(arguments.response), remedy="Leave out --sensitivity.")
+        true = stated or arguments.sensitivity is not None
         got = at_rate(came, asked.sample_rate)
         return asked, Signal(got.samples * sensitivity, got.sample_rate, 0), true
     target, limits = parse_target(arguments.to), base.limits
+    if isinstance(target, FileTarget | OscTarget):
+        raise UsageError(f"nothing moves behind {arguments.to}.", remedy="Measure on serial, audio or virtual.")
     excitation = excitation_of(arguments, limits.full_scale_m_s2)
     if isinstance(target, VirtualTarget):
         return *simulate(excitation, limits), True
@@ -246,9 +265,14 @@ def _measured_record(path: Path, found: Measured, errors: tuple[BandError, ...],
 
 def _measured_in_words(path: Path, found: Measured, errors: tuple[BandError, ...]) -> str:
     resonator, (low, high) = found.resonator, range_of(found)
+    model = (
+        f"resonance {resonator.resonance_hz:.1f} Hz, damping {resonator.damping:.2f} (that model is off by "
+        f"{resonator.error_db:.2f} dB RMS)"
+        if low <= resonator.resonance_hz <= high
+        else "no resonance in between"
+    )
     lines = [
-        f"{path}: {low:.0f} to {high:.0f} Hz, resonance {resonator.resonance_hz:.1f} Hz, damping "
-        f"{resonator.damping:.2f} (that model is off by {resonator.error_db:.2f} dB RMS)",
+        f"{path}: {low:.0f} to {high:.0f} Hz, {model}",
         f"{'band':>9}  {'without':>9}  {'with compensation':>18}",
     ]
     lines += [f"{each.centre_hz:>6.0f} Hz  {each.before_db:>+6.1f} dB  {each.after_db:>+15.2f} dB" for each in errors]
@@ -278,7 +302,7 @@ def run_report(arguments: argparse.Namespace) -> int:
     if profile.response is None:
         print("hnf: this profile has no measured response: only its limits count here.", file=sys.stderr)
     for what, each in (("", plain), (" with compensation", made_up)):
-        if each.limited_samples:
+        if each.limited_samples and (each is plain or profile.response is not None):
             print(
                 f"hnf: its limits change {each.limited_samples} samples{what}; a softer signal keeps its shape.",
                 file=sys.stderr,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import wave
 from pathlib import Path
 
 import numpy as np
@@ -82,6 +83,8 @@ def test_two_files_do_instead_of_a_device(tmp_path: Path, capsys: pytest.Capture
         ("--to", "virtual", "--played", "x.wav"),
         ("--played", "x.wav"),
         ("--to", "serial:/dev/null"),
+        ("--to", "file:x.wav", "--input", "audio"),
+        ("--to", "osc:127.0.0.1:9000", "--input", "audio"),
         ("--to", "virtual", "--level", "7"),
         ("--to", "virtual", "--sensitivity", "-1"),
     ],
@@ -157,3 +160,42 @@ def test_a_measured_profile_is_made_up_for_on_the_way_unless_raw(tmp_path: Path)
     assert response is not None
     missing = -float(response.gain_db_at(40.0))
     assert 20.0 * np.log10(levels["made up"] / levels["raw"]) == pytest.approx(missing, abs=0.7)
+
+
+def test_a_report_tells_only_of_bands_that_were_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    tone = np.sin(2.0 * np.pi * 100.0 * np.arange(10_000) / 10_000.0).astype(np.float32)
+    write_wav(tmp_path / "tone.wav", Signal(tone, 10_000.0, 0))
+    assert hnf("actuators", "report", tmp_path / "tone.wav", "--profile", GENERIC.name, "--json") == 0
+    bands = json.loads(capsys.readouterr().out)["bands"]
+    (heard,) = (band for band in bands if band["before_db"] is not None)
+    assert heard["low_hz"] < 100.0 < heard["high_hz"]
+    assert abs(heard["before_db"]) < 0.1
+
+
+@pytest.mark.parametrize("words", [("--low", "0"), ("--low", "500", "--high", "100"), ("--sensitivity", "50")])
+def test_files_that_do_not_fit_the_words_are_refused(
+    words: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    played, out = tmp_path / "s.wav", tmp_path / "p.json"
+    assert hnf("actuators", "sweep", "--out", played, "--seconds", 1) == 0
+    assert hnf("actuators", "measure", "--played", played, "--response", played, "--out", out, *words) == 2
+    assert "this is no frequency response" not in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_a_sensitivity_that_no_actuator_has_writes_no_profile(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    played, recorded, out = tmp_path / "s.wav", tmp_path / "r.wav", tmp_path / "p.json"
+    assert hnf("actuators", "sweep", "--out", played, "--seconds", 1) == 0
+    counts = np.rint(read_wav(played).samples / 10.0 * 32767.0).astype(np.int16)
+    with wave.open(str(recorded), "wb") as file:
+        file.setparams((1, 2, 10_000, len(counts), "NONE", ""))
+        file.writeframes(counts.tobytes())
+    words = ("actuators", "measure", "--played", played, "--response", recorded, "--out", out)
+    assert hnf(*words, "--sensitivity", 1e8) == 2
+    assert "Check --sensitivity" in capsys.readouterr().err
+    assert not out.exists()
+    assert hnf(*words, "--sensitivity", 10.0) == 0
+    assert read_profile(out).limits.full_scale_m_s2 == pytest.approx(30.0, rel=0.01)
+    assert "no resonance in between" in capsys.readouterr().out, "a wire has none"

@@ -12,7 +12,7 @@ from hnf_core.actuators.limits import Limits
 from hnf_core.actuators.measure.estimate import estimate
 from hnf_core.actuators.measure.excitation import sweep
 from hnf_core.actuators.measure.run import Accelerometer, measure
-from hnf_core.actuators.sinks.audio import AudioSink
+from hnf_core.actuators.sinks.audio import OPEN, AudioSink
 from hnf_core.errors import DeviceError, UsageError
 
 ATTEMPTS = 4
@@ -36,3 +36,15 @@ def test_a_wire_has_a_flat_response_and_its_delay(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.gain_db, 20.0 * np.log10(2.0), atol=0.1)
     assert found.coherence.min() > 0.99
     assert 0.0 < found.delay_s < 2.0
+
+
+@pytest.mark.skipif(why_not() != "", reason=why_not())
+def test_an_output_that_is_not_there_leaves_the_input_closed(tmp_path: Path) -> None:
+    sensor = Accelerometer(None, 20.0)
+    with sound_server(tmp_path):
+        with pytest.raises(DeviceError, match="nosuch"):
+            measure(AudioSink("nosuch"), sensor, sweep(10_000.0, 1.0, 10.0, 1000.0, 4.0), Limits(10.0))
+        assert not OPEN
+        assert sensor.heard().sample_rate > 0.0, "PortAudio was not started anew below it"
+        with pytest.raises(DeviceError, match=r"--input audio:DEVICE with one of these: .*pulse"):
+            Accelerometer("nosuch", 20.0).__enter__()

@@ -24,21 +24,26 @@ def estimate(asked: ArrayLike, got: ArrayLike, rate_hz: float, low_hz: float, hi
     H1 = Σ A* G / Σ |A|² over Hann windows three quarters of which overlap, which noise in what came back does not bias
     (J. S. Bendat and A. G. Piersol, Random Data, ch. 6); bins are then gathered, PER_OCTAVE in an octave. got may begin
     later or earlier: the delay is found by correlation, taken out, and told. Raises UsageError where either is too
-    short or silent, or less than half of the frequencies came back coherent.
+    short or silent, less than half of the frequencies came back coherent, or low_hz and high_hz are no range.
     """
+    if not 0.0 < low_hz < high_hz:
+        raise UsageError(
+            f"there is no range from {low_hz:g} to {high_hz:g} Hz.", remedy="Give ascending frequencies above 0."
+        )
     first, second = (np.asarray(values, dtype=np.float64) for values in (asked, got))
     window = round(WINDOW_S * rate_hz)
-    if min(len(first), len(second)) < 2 * window:
-        raise UsageError(
-            f"a response cannot be read from less than {2 * WINDOW_S:g} s.", remedy="Play and record a longer sweep."
-        )
     if not (first.any() and second.any() and np.isfinite(first).all() and np.isfinite(second).all()):
         raise UsageError(
             "nothing came back, or nothing was asked for.",
             remedy="Check that the actuator moves and the accelerometer is recorded.",
         )
     delay = delay_frames(first, second)
-    before, after = _aligned(first, second, delay)
+    before, after = _overlap(first, second, delay)
+    if len(before) < 2 * window:
+        raise UsageError(
+            f"a response cannot be read from less than {2 * WINDOW_S:g} s.",
+            remedy="Play a longer sweep, and record all of it.",
+        )
     cross, power, came = _spectra(before, after, window)
     frequency, gain, coherence = _gathered(cross, power, came, rate_hz, window, low_hz, high_hz)
     if np.count_nonzero(coherence >= LEAST_COHERENCE) < 0.5 * len(coherence):
@@ -63,13 +68,10 @@ def delay_frames(asked: Float, got: Float) -> int:
     return place if place < size - len(asked) else place - size
 
 
-def _aligned(asked: Float, got: Float, delay: int) -> tuple[Float, Float]:
+def _overlap(asked: Float, got: Float, delay: int) -> tuple[Float, Float]:
     before, after = (asked, got[delay:]) if delay >= 0 else (asked[-delay:], got)
-    # What still rings after the excitation belongs to it.
-    count = max(len(before), min(len(after), len(before)))
-    padded = np.zeros(count)
-    padded[: min(len(after), count)] = after[:count]
-    return before[:count], padded
+    count = min(len(before), len(after))
+    return before[:count], after[:count]
 
 
 def _spectra(before: Float, after: Float, window: int) -> tuple[NDArray[np.complex128], Float, Float]:

@@ -16,6 +16,9 @@ from ..sink import SinkFormat
 from ..sources.recorded import Recorded
 from .bands import PER_OCTAVE, third_octaves
 
+LEAST_ASKED = 1e-6
+"""Of the strongest band's power: where less was asked for, a figure in dB would tell of rounding."""
+
 
 @dataclass(frozen=True)
 class Felt:
@@ -47,15 +50,16 @@ def felt(signal: Signal, profile: ActuatorProfile, *, compensate: bool) -> Felt:
 
 def felt_bands(asked: Signal, got: Signal, profile: ActuatorProfile) -> tuple[Band, ...]:
     """Power per third of an octave within the actuator's range (20 Hz to 1 kHz where it is not known): before, what was
-    asked for, and after, what was got."""
+    asked for, 0 where it is next to nothing; after, what was got."""
     low, high = profile.range_hz or (20.0, 1000.0)
     centres = third_octaves(low, min(high, 0.5 * asked.sample_rate))
     half = 2.0 ** (0.5 / PER_OCTAVE)
     edges = (*(float(centre / half) for centre in centres), float(centres[-1] * half)) if len(centres) else ()
     if len(edges) < 2:
         return ()
-    powers = (band_power(each.samples, each.sample_rate, edges) for each in (asked, got))
+    before, after = (band_power(each.samples, each.sample_rate, edges) for each in (asked, got))
+    before = np.where(before >= LEAST_ASKED * before.max(), before, 0.0)
     return tuple(
-        Band(low, high, float(before), float(after))
-        for low, high, before, after in zip(edges[:-1], edges[1:], *powers, strict=True)
+        Band(low, high, float(wanted), float(found))
+        for low, high, wanted, found in zip(edges[:-1], edges[1:], before, after, strict=True)
     )

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...errors import UsageError
 from ..profile import ActuatorProfile
 from ..response import Response
 from .estimate import LEAST_COHERENCE
@@ -13,6 +14,9 @@ from .resonator import Resonator, fit
 
 USABLE_DB = 20.0
 """Below the median by more, a frequency is outside the range: the inverse filter could not bring it back."""
+
+LEAST_PEAK_M_S2, LARGEST_PEAK_M_S2 = 1e-3, 1e5
+"""Wide enough for any actuator: beyond it a unit was mistaken."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,8 @@ def profiled(
     """base with what was measured on it.
 
     range_hz: as told, or the longest stretch that came back coherent and within USABLE_DB of the median. calibrated:
-    the sensor's m/s² are true; then full scale is what the actuator gives at the median, and no longer base's.
+    the sensor's m/s² are true; then full scale is what the actuator gives at the median, and no longer base's. Raises
+    UsageError where no actuator could give that.
     """
     found = range_hz or usable_range(response)
     inside = (response.frequency_hz >= found[0]) & (response.frequency_hz <= found[1])
@@ -44,13 +49,20 @@ def profiled(
     relative = replace(response, gain_db=response.gain_db - median)
     peak = base.limits.full_scale_m_s2
     source = f"measured as {'its' if calibrated else 'a share of its'} acceleration; before: {base.source}"
+    if calibrated:
+        peak *= 10.0 ** (median / 20.0)
+        if not LEAST_PEAK_M_S2 <= peak <= LARGEST_PEAK_M_S2:
+            raise UsageError(
+                f"at full scale the actuator would give {peak:.3g} m/s².",
+                remedy="Check --sensitivity: m/s² at full scale of the recording; a file in m/s² needs none.",
+            )
     profile = replace(
         base,
         name="measured",
         title=title,
         source=source,
         range_hz=found,
-        peak_m_s2=peak * 10.0 ** (median / 20.0) if calibrated else base.peak_m_s2,
+        peak_m_s2=peak if calibrated else base.peak_m_s2,
         response=relative,
     )
     return Measured(profile, median, fit(relative))

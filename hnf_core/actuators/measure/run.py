@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from dataclasses import replace
+from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from ..chain import counts_of
 from ..libraries import library
 from ..limits import COUNTS, Limits
 from ..sink import Sink, SinkFormat
+from ..sinks.audio import OPEN, reason
 from ..sources.recorded import Recorded
 from ..stream import Stream
 from ..virtual.transducer import GENERIC_TRANSDUCER, drive_of, move
@@ -26,8 +28,8 @@ TAIL_S = 0.3
 
 
 class Accelerometer:
-    """On a sound input's first channel. device: part of its name, its index or None for the default. sensitivity:
-    m/s² at full scale of the input."""
+    """On a sound input's first channel; listens as a context manager, once. device: part of its name, its index
+    or None for the default. sensitivity: m/s² at full scale of the input."""
 
     def __init__(self, device: str | int | None, sensitivity: float) -> None:
         self._device, self._sensitivity = device, sensitivity
@@ -36,7 +38,7 @@ class Accelerometer:
         self._lock = threading.Lock()
         self._late = 0
 
-    def begin(self) -> None:
+    def __enter__(self) -> Accelerometer:
         """Raises DeviceError where there is no such input."""
         sounddevice = library("sounddevice")
         try:
@@ -44,20 +46,27 @@ class Accelerometer:
             self._stream.start()
         except (sounddevice.PortAudioError, ValueError) as error:
             raise DeviceError(
-                f"the accelerometer's sound input cannot be opened ({error}).",
-                remedy="Name one that the system lists: --input audio:DEVICE.",
+                f"the accelerometer's sound input cannot be opened ({reason(error, 'input')}).",
+                remedy=_inputs(sounddevice),
             ) from error
+        OPEN.add(id(self))
+        return self
 
-    def end(self) -> Signal:
-        """Raises DeviceError where samples were lost on the way."""
-        rate = float(self._stream.samplerate)
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self._stream.close()
+        OPEN.discard(id(self))
+
+    def heard(self) -> Signal:
+        """m/s², once it listens no more. Raises DeviceError where samples were lost on the way."""
         if self._late:
             raise DeviceError(
                 "the sound input lost samples while it recorded.", remedy="Close other programs and measure again."
             )
         with self._lock:
             heard = np.concatenate(self._pieces) if self._pieces else np.zeros(0, dtype=np.float32)
+        rate = float(self._stream.samplerate)
         return Signal(np.asarray(heard * self._sensitivity, dtype=np.float32), rate, 0)
 
     def _hear(self, block: Any, _frames: int, _time: Any, status: Any) -> None:
@@ -67,19 +76,27 @@ class Accelerometer:
             self._pieces.append(np.array(block[:, 0], dtype=np.float32))
 
 
+def _inputs(sounddevice: Any) -> str:
+    """What to do, in words."""
+    names = [str(each["name"]) for each in sounddevice.query_devices() if each["max_input_channels"] > 0]
+    if not names:
+        return "Plug one in; on Linux the sound server must run for you."
+    return f"Say --input audio:DEVICE with one of these: {', '.join(dict.fromkeys(names))}."
+
+
 def measure(sink: Sink, sensor: Accelerometer, excitation: Signal, limits: Limits) -> tuple[Signal, Signal]:
     """What the device was asked for, and what sensor heard of it, both at the device's rate.
 
     Raises DeviceError where the device fails or misses frames, UsageError where its limits change the excitation.
     """
     source = Recorded(np.asarray(excitation.samples).reshape(-1, 1), excitation.sample_rate)
-    with Stream(source, sink, limits) as stream:
-        sensor.begin()
-        device = stream.start()
-        ended = stream.wait(excitation.duration_s + 10.0)
-        report = stream.report
-    time.sleep(TAIL_S)
-    heard = sensor.end()
+    with sensor:
+        with Stream(source, sink, limits) as stream:
+            device = stream.start()
+            ended = stream.wait(excitation.duration_s + 10.0)
+            report = stream.report
+        time.sleep(TAIL_S)
+    heard = sensor.heard()
     if report.problem or not ended:
         raise DeviceError(report.problem or "the device did not play the excitation to its end.")
     if report.underruns or report.limited_samples:

@@ -32,8 +32,8 @@ SILENT_CALLBACK_S = 0.5
 
 LET_OUT_S = 0.05
 
-_OPEN: set[int] = set()
-"""Sinks with a stream: while there is one, PortAudio must not be started anew."""
+OPEN: set[int] = set()
+"""id() of those with a stream: while there is one, PortAudio must not be started anew."""
 
 _POLL_S = 0.0005
 _REMEDY = "Run `hnf actuators` to see what is there; another program may hold the output for itself."
@@ -68,7 +68,7 @@ class AudioSink:
                 callback=self._give,
             )
         except (sounddevice.PortAudioError, ValueError) as error:
-            raise self._refused(f"cannot be opened ({_reason(error)})", _REMEDY) from error
+            raise self._refused(f"cannot be opened ({reason(error)})", _REMEDY) from error
         held_s = float(stream.latency)
         queue = int(rate * max(self._queue_s - held_s, LEAST_QUEUE_S))
         self._queue = FadingQueue(queue, self._channels, int(RAMP_S * rate))
@@ -79,9 +79,9 @@ class AudioSink:
             stream.start()
         except sounddevice.PortAudioError as error:
             stream.close(ignore_errors=True)
-            raise self._refused(f"cannot be started ({_reason(error)})", _REMEDY) from error
+            raise self._refused(f"cannot be started ({reason(error)})", _REMEDY) from error
         self._stream = stream
-        _OPEN.add(id(self))
+        OPEN.add(id(self))
         self._settle(2.0 * held_s)
         return SinkFormat(rate, self._channels, queue + round(held_s * rate), f"sound output '{found['name']}'")
 
@@ -120,7 +120,7 @@ class AudioSink:
         self._let_out(stream, LET_OUT_S + 3.0 * float(stream.latency))
         stream.abort(ignore_errors=True)
         stream.close(ignore_errors=True)
-        _OPEN.discard(id(self))
+        OPEN.discard(id(self))
 
     def _let_out(self, stream: Any, timeout_s: float) -> None:
         """Wait until nothing sounds, and the sound system has then got more silence than it holds: ended sooner, it
@@ -224,13 +224,13 @@ def _found(sounddevice: Any, device: str | int | None) -> Any:
 def look_again(sounddevice: Any) -> None:
     """Start PortAudio anew, so that it sees what has been plugged in; not while a stream is open, which that would
     end."""
-    if not _OPEN:
+    if not OPEN:
         sounddevice._terminate()
         sounddevice._initialize()
 
 
-def _reason(error: Exception) -> str:
+def reason(error: Exception, what: str = "output") -> str:
     """A line of a library's, without its own numbers in brackets and without its full stop."""
     if str(error) == "Error querying device -1":
-        return "this system has no sound output"
+        return f"this system has no sound {what}"
     return str(error).split(" [PaErrorCode")[0].splitlines()[0].rstrip(".:")
