@@ -41,11 +41,12 @@ def write_android(path: Path, signal: Signal, options: ExportOptions) -> tuple[s
     timings, amplitudes, clipped = steps(envelope, options.full_scale_m_s2)
     if not timings:
         raise FileError("shorter than 1 ms, which Android does not play.", where=str(path), remedy="Write WAV instead.")
+    centre = float(np.clip(centre_of(envelope), *options.range_hz))
     record = {
         "timings": timings,
         "amplitudes": amplitudes,
         "repeat": -1,
-        "metadata": {**origin_record(signal, options), "frequency_hz": round(centre_of(envelope), 3)},
+        "metadata": {**origin_record(signal, options), "frequency_hz": centre},
     }
     write_json(path, record)
     return DROPPED + clipped_words(clipped, options)

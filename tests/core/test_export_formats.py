@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from export_signals import ENVELOPES, EXACT, FACTS, OPTIONS, WORDS, signal_of, texture, tone
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -354,3 +354,29 @@ def test_extremes_come_back_to_the_bit(word: str, peak: float, rate: float, tmp_
     samples = (peak * np.sin(0.1 * np.arange(3000))).astype(np.float32)
     exported = export_signal(signal_of(samples, rate), FORMATS[word], out(tmp_path, word), OPTIONS)
     assert exported.loss.exact
+
+
+@pytest.mark.parametrize("word", WORDS)
+@settings(max_examples=25)
+@given(
+    samples=SAMPLES,
+    rate=RATES,
+    low=st.floats(1.0, 100.0),
+    octaves=st.floats(0.05, 8.0),
+    full_scale=st.floats(1e-3, 1e4),
+)
+@example(  # all of it above a range whose end has many digits
+    samples=np.resize(np.float32([9, -9]), 500), rate=48_000.0, low=3.252858289320251, octaves=4.5773, full_scale=30.0
+)
+def test_what_is_written_can_be_read_whatever_the_scale(
+    word: str, samples: np.ndarray, rate: float, low: float, octaves: float, full_scale: float,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:  # fmt: skip
+    """Or is refused before: no file is left that its own reader does not take."""
+    path = out(tmp_path_factory.getbasetemp(), word, "scaled")
+    path.unlink(missing_ok=True)
+    options = ExportOptions(full_scale, (low, low * 2.0**octaves))
+    try:
+        export_signal(signal_of(samples, rate), FORMATS[word], path, options)
+    except FileError:
+        assert not path.exists()
