@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import UsageError
+from ..errors import FileError, UsageError
 from ..export.wav import read_wav
 from .limits import Limits
 from .source import Samples
@@ -33,8 +33,11 @@ class Acceleration:
 
 def read_acceleration(path: Path, limits: Limits) -> Acceleration:
     """A file that states m/s² is taken at its word. One without a unit whose samples lie within −1 … 1, as sound files'
-    do, plays with 1 as the actuator's full scale; one that goes beyond is taken as m/s². Raises FileError."""
+    do, plays with 1 as the actuator's full scale; one that goes beyond is taken as m/s². Raises FileError,
+    also where there is no sample in it."""
     signal = read_wav(path)
+    if len(signal.samples) == 0:
+        raise FileError("has no samples.", where=str(path), remedy="Export it again.")
     samples = np.ascontiguousarray(signal.samples, dtype=np.float32)[:, None]
     if signal.provenance.get("units") != "as stored":
         return Acceleration(samples, signal.sample_rate, "in m/s²")

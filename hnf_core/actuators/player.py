@@ -203,7 +203,7 @@ class Player:
         self.stop()
         device = stream.start()
         made_up = ", its response made up for" if stages else ""
-        said = f"{note}; at most {limits.peak * limits.full_scale_m_s2:g} m/s² ({profile.title}){made_up}"
+        said = f"{note}; at most {limits.peak * limits.full_scale_m_s2:.4g} m/s² ({profile.title}){made_up}"
         self._went_on(Playing(play, stream, source, device, where, gain, ahead * block_s, said))
 
     def _went_on(self, playing: Playing) -> None:

@@ -61,7 +61,10 @@ class Stream:
     ) -> None:
         """Raises UsageError where block_s is not within 0.5 ms … 1 s or nothing is made ahead."""
         if not (0.0005 <= block_s <= 1.0 and ahead_blocks >= 1):
-            raise UsageError(f"a stream cannot be made of {ahead_blocks} blocks of {block_s * 1e3:g} ms ahead.")
+            raise UsageError(
+                f"a stream cannot be made of {ahead_blocks} blocks of {block_s * 1e3:g} ms ahead.",
+                remedy="Give 0.5 to 1000 ms, and at least one block.",
+            )
         self._source, self._sink, self._limits, self._stages = source, sink, limits, tuple(stages)
         self._block_s, self._ahead, self._prompt = block_s, ahead_blocks, prompt
         self._opened: Future[SinkFormat] = Future()

@@ -6,6 +6,8 @@ Exit codes: 0 done, 1 failed (one clear line on stderr), 2 wrong usage.
 from __future__ import annotations
 
 import argparse
+import io
+import os
 import sys
 from collections.abc import Callable, Sequence
 
@@ -41,11 +43,19 @@ def build_parser(
 
 def main(argv: Sequence[str], run_touch: Runner, run_bench: Runner = bench.run, run_export: Runner = export.run) -> int:
     """Parse argv (without the program's name), run the verb, and turn every outcome into an exit code."""
+    for out in (sys.stdout, sys.stderr):
+        if isinstance(out, io.TextIOWrapper):  # not every terminal or file knows "²"
+            out.reconfigure(errors="backslashreplace")
     try:
         arguments = build_parser(run_touch, run_bench, run_export).parse_args(list(argv))
-        return int(arguments.run(arguments))
+        code = int(arguments.run(arguments))
+        print(end="", flush=True)
+        return code
     except SystemExit as stop:  # argparse's own way out: --help gives 0, wrong words give 2
         return stop.code if isinstance(stop.code, int) else 2
+    except BrokenPipeError:  # whoever read it, as in `hnf … | head`, has enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     except UsageError as error:
         print(f"hnf: {error}", file=sys.stderr)
         return 2

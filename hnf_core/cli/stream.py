@@ -90,7 +90,11 @@ def run(arguments: argparse.Namespace) -> int:
 def _check(arguments: argparse.Namespace, target: Target) -> None:
     if arguments.seconds is not None and not 0.0 < arguments.seconds < 1e7:
         raise UsageError(f"--seconds {arguments.seconds:g} is no time to play.", remedy="Give more than 0.")
-    if arguments.loop and arguments.seconds is None and isinstance(target, FileTarget):
+    if not isinstance(target, FileTarget):
+        return
+    if target.path.exists() and arguments.wav.exists() and target.path.samefile(arguments.wav):
+        raise UsageError(f"--to {arguments.to} is the file that is read.", remedy="Give another name.")
+    if arguments.loop and arguments.seconds is None:
         raise UsageError("--loop into a file never ends.", remedy="Say how long: --seconds 10.")
 
 
@@ -113,7 +117,7 @@ def _announcement(
         f"{arguments.wav}: {found.duration_s:.2f} s at {found.rate_hz:g} Hz, {found.unit}, "
         f"largest {found.peak_m_s2:.3g} m/s²\n"
         f"to {device.device}: {device.rate_hz:g} Hz{owes}; gain {arguments.gain:g} dB; "
-        f"at most {limits.peak * limits.full_scale_m_s2:g} m/s² ({profile.title}){made_up}"
+        f"at most {limits.peak * limits.full_scale_m_s2:.4g} m/s² ({profile.title}){made_up}"
     )
 
 
@@ -125,8 +129,8 @@ def _warn(samples: Samples, profile: ActuatorProfile, gain_db: float) -> None:
         share = float(np.count_nonzero(np.abs(samples) > most)) / samples.size
         fits = math.floor(10.0 * (gain_db - 20.0 * math.log10(largest / most))) / 10.0
         print(
-            f"hnf: {largest:.3g} m/s² is more than the {most:g} m/s² of '{profile.title}': {share:.2%} of the samples "
-            f"are limited. --gain {fits:.1f} fits.",
+            f"hnf: {largest:.3g} m/s² is more than the {most:.4g} m/s² of '{profile.title}': {share:.2%} of the "
+            f"samples are limited. --gain {fits:.1f} fits.",
             file=sys.stderr,
         )
 
@@ -145,8 +149,8 @@ def _told(arguments: argparse.Namespace, profile: ActuatorProfile, report: Strea
         print(json.dumps(record, indent=1))
     else:
         print(
-            f"{report.played_s:.2f} s played: {report.blocks} blocks, {report.underruns} underruns, "
-            f"99 % of them computed within {report.compute_p99_ms:.2f} ms; peak {report.peak:.0%} of full scale, "
+            f"{report.played_s:.2f} s played: {report.blocks} blocks, 99 % of them computed within "
+            f"{report.compute_p99_ms:.2f} ms, {report.underruns} underruns; peak {report.peak:.0%} of full scale, "
             f"{report.limited_samples} samples limited"
         )
     if report.problem:

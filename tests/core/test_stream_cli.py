@@ -74,7 +74,7 @@ def test_it_says_what_will_happen_and_warns_of_what_is_too_loud(
     assert "2.00 s at 10000 Hz, in m/s²" in first
     assert "gain 12 dB; at most 30 m/s² (Generic voice coil)" in second
     assert re.search(
-        r"2\.00 s played: \d+ blocks, 0 underruns.*peak \d+% of full scale, [1-9]\d* samples limited", last
+        r"2\.00 s played: \d+ blocks, .*ms, 0 underruns; peak \d+% of full scale, [1-9]\d* samples limited", last
     )
     warning = re.search(r"is more than the 30 m/s².*of the samples are limited\. --gain (-?[\d.]+) fits", told.err)
     assert warning is not None
@@ -124,6 +124,37 @@ def test_what_does_not_work_is_one_line(
     told = capsys.readouterr()
     assert said in told.err
     assert len([line for line in told.err.splitlines() if line.startswith("hnf: ")]) == (1 if words else 0)
+
+
+def test_the_file_that_is_read_is_not_written_over(noise: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = noise.read_bytes()
+    assert hnf(noise, "--to", f"file:{noise.parent / '..' / noise.parent.name / noise.name}") == 2
+    assert "is the file that is read" in capsys.readouterr().err
+    assert noise.read_bytes() == before
+
+
+def test_a_wav_without_samples_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_wav(tmp_path / "empty.wav", Signal(np.zeros(0, np.float32), 8000.0, 0))
+    assert hnf(tmp_path / "empty.wav", "--to", f"file:{tmp_path / 'out.wav'}") == 1
+    assert "empty.wav: has no samples" in capsys.readouterr().err
+
+
+def test_who_reads_no_further_gets_no_traceback(noise: Path, tmp_path: Path) -> None:
+    words = [*HNF, "stream", str(noise), "--to", f"file:{tmp_path / 'out.wav'}"]
+    with subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
+        assert running.stdout is not None
+        running.stdout.close()
+        assert running.stderr is not None
+        assert running.stderr.read() == b""
+    assert running.returncode == 1
+
+
+def test_a_terminal_that_knows_no_square_gets_its_code(noise: Path, tmp_path: Path) -> None:
+    words = [*HNF, "stream", str(noise), "--to", f"file:{tmp_path / 'out.wav'}"]
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    run = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, timeout=60)
+    assert run.returncode == 0
+    assert rb"m/s\xb2" in run.stdout
 
 
 def test_a_missing_file_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

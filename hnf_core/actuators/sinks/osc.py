@@ -80,7 +80,10 @@ class OscSink:
         try:
             self._client = udp.SimpleUDPClient(_number(self._host, self._port), self._port)
         except (OSError, OverflowError, UnicodeError) as error:
-            raise self._refused(f"cannot be reached ({error})", "Check the host's name and the port.") from error
+            raise self._refused(
+                f"cannot be reached ({getattr(error, 'strerror', None) or error})",
+                "Check the host's name and the port.",
+            ) from error
         self._queue, self._dropped, self._closing, self._problem = self._new_queue(), False, False, ""
         self._thread = threading.Thread(target=self._send, name="hnf-osc", daemon=True)
         self._thread.start()
