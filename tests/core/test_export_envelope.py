@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from export_signals import signal_of, texture, tone
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -43,6 +43,7 @@ def test_what_lies_outside_the_range_is_not_in_the_envelope() -> None:
     np.testing.assert_allclose(envelope.amplitude[middle], 2.0, rtol=0.05)
 
 
+@settings(deadline=None)
 @given(
     count=st.integers(0, 3000),
     rate=st.sampled_from([1000.0, 8000.0, 10_000.0, 44_100.0]),
@@ -65,6 +66,7 @@ def test_a_lifted_hand_is_silent_between_two_rubs() -> None:
     assert not envelope.amplitude[between].any()
 
 
+@settings(deadline=None)
 @given(
     samples=hnp.arrays(np.float32, st.integers(1, 2000), elements=st.floats(-50.0, 50.0, width=32)),
     power=st.integers(-8, 8),
@@ -78,6 +80,7 @@ def test_scaling_scales_the_amplitude_alone(samples: np.ndarray, power: int) -> 
     assert len(once.emphases) == len(twice.emphases)
 
 
+@settings(deadline=None)
 @given(samples=hnp.arrays(np.float32, st.integers(0, 2000), elements=st.floats(-50.0, 50.0, width=32)))
 def test_every_envelope_is_sound(samples: np.ndarray) -> None:
     envelope = envelope_of(signal_of(samples), RANGE)
@@ -138,6 +141,7 @@ def test_what_could_not_be_rendered_again_is_refused() -> None:
         envelope_of(signal_of(np.zeros(LONGEST_SAMPLES // 250 + 1), 10.0), RANGE)
 
 
+@settings(deadline=None)
 @given(
     values=hnp.arrays(np.float64, st.integers(1, 200), elements=st.floats(0.0, 1.0)),
     error=st.floats(1e-6, 0.3),
@@ -162,6 +166,7 @@ def test_few_control_points_suffice_for_what_is_simple() -> None:
     assert len(control_points(time, np.abs(time - 500.0) / 500.0, 0.001)) <= 4
 
 
+@settings(deadline=None)
 @given(
     values=hnp.arrays(np.float64, st.integers(1, 80), elements=st.floats(-9.0, 9.0)),
     reach=st.integers(0, 12),
@@ -173,6 +178,7 @@ def test_neighbourhoods_are_those_of_the_plain_loop(values: np.ndarray, reach: i
     np.testing.assert_allclose(found, plain, atol=1e-9)
 
 
+@settings(deadline=None)
 @given(
     amplitude=st.floats(0.01, 30.0),
     hertz=st.floats(20.0, 900.0),

@@ -357,7 +357,7 @@ def test_extremes_come_back_to_the_bit(word: str, peak: float, rate: float, tmp_
 
 
 @pytest.mark.parametrize("word", WORDS)
-@settings(max_examples=25)
+@settings(max_examples=25, deadline=None)
 @given(
     samples=SAMPLES,
     rate=RATES,

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 from export_signals import signal_of, texture, tone
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -24,6 +24,7 @@ def test_there_are_nine_octaves() -> None:
     np.testing.assert_allclose(np.divide(EDGES_HZ[1:], EDGES_HZ[:-1]), 2.0)
 
 
+@settings(deadline=None)
 @given(samples=SAMPLES, rate=st.floats(100.0, 50_000.0))
 def test_all_bands_together_hold_the_mean_square(samples: np.ndarray, rate: float) -> None:
     power = band_power(samples, rate, (0.0, *EDGES_HZ, math.inf))
@@ -38,6 +39,7 @@ def test_a_tone_lies_in_its_own_band(centre: float) -> None:
     assert power.sum() == pytest.approx(np.mean(np.square(samples)), rel=1e-6)
 
 
+@settings(deadline=None)
 @given(samples=SAMPLES, factor=st.floats(0.1, 10.0))
 def test_bands_change_by_the_square_of_the_scale(samples: np.ndarray, factor: float) -> None:
     for band in band_changes(samples, 8000.0, factor * samples, 8000.0):
@@ -57,6 +59,7 @@ def test_a_band_that_is_gone_has_no_change_in_db() -> None:
     assert not band_power([], 1e4).any()
 
 
+@settings(deadline=None)
 @given(samples=SAMPLES)
 def test_no_loss_is_no_loss(samples: np.ndarray) -> None:
     signal = signal_of(samples)

@@ -160,6 +160,7 @@ def test_each_face_points_at_the_taxel_of_its_material(uv: bool) -> None:
         np.testing.assert_allclose(read, known[token], atol=meaning["maximum"] / 510.0)
 
 
+@settings(deadline=None)
 @given(entries=st.integers(1, 300))
 def test_taxels_do_not_meet(entries: int) -> None:
     pixel = taxel_uv(np.arange(-1, entries), entries)[:, 0] * row_width(entries)

@@ -51,6 +51,7 @@ def plain(form: bytes, data: bytes) -> bytes:
     return b"RIFF" + struct.pack("<I", len(body)) + body
 
 
+@settings(deadline=None)
 @given(signal=SIGNALS)
 def test_round_trip(signal: Signal, tmp_path_factory: pytest.TempPathFactory) -> None:
     path = tmp_path_factory.getbasetemp() / "round.wav"
@@ -65,6 +66,7 @@ def test_round_trip(signal: Signal, tmp_path_factory: pytest.TempPathFactory) ->
     assert path.read_bytes() == wav_bytes(signal)
 
 
+@settings(deadline=None)
 @given(signal=SIGNALS)
 def test_layout_is_ieee_float_with_fact_and_info(signal: Signal) -> None:
     chunks = parse(wav_bytes(signal))
@@ -139,7 +141,7 @@ def test_rates_a_wav_cannot_hold_are_refused(rate: float) -> None:
         wav_bytes(Signal(tone().samples, rate, 0))
 
 
-@settings(max_examples=200)
+@settings(max_examples=200, deadline=None)
 @given(data=st.data())
 def test_damage_gives_a_file_error_or_a_finite_signal(
     data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
