@@ -40,8 +40,12 @@ def _is_installed() -> bool:
 
 
 def always_there() -> tuple[Output, ...]:
-    """The outputs that need no device."""
-    return Output(SPEAKERS, tr("Speakers (Blender)")), Output(VIRTUAL, tr("Virtual actuator"))
+    """The outputs that need not be looked for."""
+    return (
+        Output(SPEAKERS, tr("Speakers (Blender)")),
+        Output(VIRTUAL, tr("Virtual actuator")),
+        Output("audio", tr("Usual sound output, within limits")),
+    )
 
 
 def outputs(context: Any = None) -> tuple[Output, ...]:

@@ -8,7 +8,7 @@ import bpy
 
 from hnf_core.errors import HnfError
 
-from ..actuator.choice import choose_output, chosen_output, plays_whole, title_of
+from ..actuator.choice import choose_output, chosen_output, title_of
 from ..actuator.state import ACTUATOR, SPEAKERS
 from ..props.scene import actuator_of
 from ..state.redraw import redraw_tab
@@ -16,17 +16,12 @@ from ..translations import tr
 from .active import one_line
 
 NO_ACTUATOR = "Strokes are played on speakers: choose an actuator in the Actuator panel"
-NOT_LIVE = "Through Blender's own sound nothing can be played live: install sounddevice"
 
 
 def needs_actuator(cls: Any, context: Any) -> bool:
-    """For poll(): True where an actuator is chosen that can be driven, else says why greyed."""
-    target = chosen_output(context)
-    if target == SPEAKERS:
+    """For poll(): True where an actuator is chosen, else says why greyed."""
+    if chosen_output(context) == SPEAKERS:
         cls.poll_message_set(NO_ACTUATOR)
-        return False
-    if plays_whole(target):
-        cls.poll_message_set(NOT_LIVE)
         return False
     return True
 

@@ -10,7 +10,7 @@ import bpy
 
 from hnf_core.errors import HnfError, SceneError
 
-from ..actuator.choice import chosen_output
+from ..actuator.choice import chosen_output, plays_whole
 from ..actuator.hand import force_at
 from ..actuator.state import ACTUATOR, Phase
 from ..props.scene import actuator_of
@@ -18,6 +18,8 @@ from ..state.redraw import redraw_tab
 from ..translations import tr
 from .active import AS_SET, metres_of, one_line, probe_of
 from .actuator import needs_actuator
+
+NOT_LIVE = "Through Blender's own sound nothing can be played live: install sounddevice"
 
 
 class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types
@@ -31,6 +33,9 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     @classmethod
     def poll(cls, context: Any) -> bool:
         if not needs_actuator(cls, context):
+            return False
+        if plays_whole(chosen_output(context)):
+            cls.poll_message_set(NOT_LIVE)
             return False
         if context.mode != "OBJECT":
             cls.poll_message_set("Surfaces are touched in Object Mode: press Tab")

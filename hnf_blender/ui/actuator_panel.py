@@ -82,13 +82,13 @@ def draw_output(layout: Any, context: Any) -> None:
     if target == SPEAKERS:
         hint(layout, context, tr("For your ears: the actuator's limits are not kept on speakers"))
         return
+    row = side_by_side(layout, context)
+    row.operator("hnf.actuator_test", text="Test", icon="IPO_EASE_IN_OUT")
+    row.operator("hnf.preview_stop", text="Stop", icon="SNAP_FACE")
     if plays_whole(target):
         hint(layout, context, tr("Through Blender's own sound, with the limits kept. Live touch needs sounddevice"))
         return
     facts = ACTUATOR.facts
-    row = side_by_side(layout, context)
-    row.operator("hnf.actuator_test", text="Test", icon="IPO_EASE_IN_OUT")
-    row.operator("hnf.preview_stop", text="Stop", icon="SNAP_FACE")
     draw_status(layout, context, facts)
     if target == VIRTUAL:
         for line in ACTUATOR.skin:

@@ -211,6 +211,7 @@ def test_without_sounddevice_a_sound_output_is_played_whole(virtual, monkeypatch
     shown = panel()
     assert "Live touch needs sounddevice" in shown.words.replace("\n", " ")
     assert "hnf.live_touch" not in shown.operators
+    assert "hnf.actuator_test" in shown.operators
     with pytest.raises(RuntimeError, match="install sounddevice"):
         bpy.ops.hnf.live_touch()
 
