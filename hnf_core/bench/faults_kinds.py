@@ -21,6 +21,10 @@ from .faults_rig import RATE_HZ, Outcome, Rig, Since, seconds
 
 Trial = Callable[[Rig], Outcome]
 
+JUDGED_S = 40.0
+"""Longest until a wrong rate is known: a host that is itself late, many times a second, waits for calmer seconds before
+it calls a device a liar. It begins to look anew every 10 s."""
+
 
 @dataclass(frozen=True)
 class Kind:
@@ -162,7 +166,7 @@ def rate_lie(rig: Rig) -> Outcome:
 
     rig.play_for_a_while()
     off = float(rig.rng.choice([-1.0, 1.0]) * rig.rng.uniform(0.15, 0.3))
-    outcome = rig.ended(rig.strike(lambda: pace(1.0 + off)), Since.NOTICE)
+    outcome = rig.ended(rig.strike(lambda: pace(1.0 + off)), Since.NOTICE, JUDGED_S)
     pace(1.0)
     named = all(f"{RATE_HZ} Hz" in words for words in outcome.messages)
     told = outcome.messages if named else (*outcome.messages, "does not name the rate")

@@ -121,11 +121,11 @@ class Rig:
             fault()
             return device.clock
 
-    def ended(self, struck: int, since: Since = Since.FAULT) -> Outcome:
-        """The stream's end by itself. since: what silence is counted from."""
+    def ended(self, struck: int, since: Since = Since.FAULT, hang_s: float = HANG_S) -> Outcome:
+        """The stream's end by itself. since: what silence is counted from. hang_s: longest to wait for it."""
         assert self.stream is not None
         assert self.sink is not None
-        hung = not self.stream.wait(HANG_S) or not self.quiet()
+        hung = not self.stream.wait(hang_s) or not self.quiet()
         noticed, problem = self.sink.noticed, self.stream.report.problem
         begin = {Since.FAULT: struck, Since.SAMPLES: max(struck, self.device.sampled), Since.NOTICE: noticed or struck}
         return Outcome(
