@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 import time
@@ -15,7 +16,7 @@ from sound_server import RATE_HZ, SoundServer, sound_server, why_not
 
 from hnf_core.actuators.chain import counts_of
 from hnf_core.actuators.limits import Limits
-from hnf_core.actuators.sinks.audio import QUEUE_S, AudioSink
+from hnf_core.actuators.sinks.audio import QUEUE_S, SILENT_CALLBACK_S, AudioSink
 from hnf_core.actuators.sinks.fading_queue import RAMP_S
 from hnf_core.actuators.sources.recorded import Recorded
 from hnf_core.actuators.stream import Stream
@@ -201,6 +202,31 @@ while stream.report.played_s < 0.5 and not stream.wait(0.01):
     heard = found[0][:, 0].astype(int)
     assert heard.max() > 3000
     assert np.abs(np.diff(heard)).max() < 300, "it fades"
+
+
+@needs_server
+def test_a_program_that_stood_still_blames_no_device(server: SoundServer) -> None:
+    code = f"""
+import sys; sys.path.insert(0, {str(Path(__file__).parents[2])!r})
+import numpy as np
+from hnf_core.actuators.limits import Limits
+from hnf_core.actuators.sinks.audio import AudioSink
+from hnf_core.actuators.sources.recorded import Recorded
+from hnf_core.actuators.stream import Stream
+stream = Stream(Recorded(np.ones((20000, 1)), 10000.0), AudioSink(queue_s={CALM_S}), Limits(10.0))
+stream.start()
+while stream.report.played_s < 0.3 and not stream.wait(0.01):
+    pass
+print("plays", flush=True)
+print(stream.wait(60.0), stream.report.played_s >= 2.0, stream.report.problem, flush=True)
+"""
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "plays\n"
+        process.send_signal(signal.SIGSTOP)
+        time.sleep(3.0 * SILENT_CALLBACK_S)
+        process.send_signal(signal.SIGCONT)
+        assert process.communicate(timeout=90)[0] == "True True \n"
 
 
 @needs_server

@@ -28,7 +28,10 @@ LEAST_QUEUE_S = 0.005
 """Our own part of what is owed, where the sound system itself owes much."""
 
 SILENT_CALLBACK_S = 0.5
-"""No request for so long: the device is gone, or the machine slept."""
+"""No request for so long, while we were awake: the device is gone."""
+
+AWAKE_S = 0.04
+"""Longest that may lie between two looks where nothing holds us up: what is more, we slept ourselves."""
 
 LET_OUT_S = 0.05
 
@@ -50,7 +53,7 @@ class AudioSink:
         self._incoming: deque[Counts | _Word] = deque()
         self._written = 0
         self._told = _Told()
-        self._called_at = 0.0
+        self._called_at = self._heard_at = self._looked_at = self._unheard_s = 0.0
         self._problem = ""
 
     def open(self) -> SinkFormat:
@@ -172,11 +175,19 @@ class AudioSink:
     def _check(self) -> None:
         if self._stream is None:
             raise self._refused(self._problem or "is closed", "Start again.")
-        if _active(self._stream) and time.monotonic() - self._called_at < SILENT_CALLBACK_S:
+        if _active(self._stream) and self._silent_s() < SILENT_CALLBACK_S:
             return
         self._problem = "no longer takes sound: it was unplugged, or its sound server ended"
         self.close()
         raise self._refused(self._problem, "Plug it in, or choose another output; then start again.")
+
+    def _silent_s(self) -> float:
+        """Since PortAudio's last request, of the time in which we looked. A computer that was busy elsewhere holds up
+        that thread as it does us: its own lateness is no silence of the device's."""
+        awake_s, self._looked_at = min(time.monotonic() - self._looked_at, AWAKE_S), time.monotonic()
+        self._unheard_s = self._unheard_s + awake_s if self._called_at == self._heard_at else 0.0
+        self._heard_at = self._called_at
+        return self._unheard_s
 
     def _refused(self, what: str, remedy: str) -> DeviceError:
         where = "the default sound output" if self._device is None else f"sound output '{self._device}'"
