@@ -93,7 +93,7 @@ class Limiter:
         return self._limited(np.zeros((frames, self._channels)))
 
     def release(self) -> Counts:
-        """All of a soft stop, ending with one frame of 0; nothing where it rests already."""
+        """All of a soft stop, ending with one frame of 0; nothing where it rests already. Nothing follows it."""
         if self.resting or not (self._last.any() or self._falling):
             return np.zeros((0, self._channels), dtype=np.int16)
         counts = self.soft_stop(len(self._law.ramp) + self._law.peak // self._law.step + 1)

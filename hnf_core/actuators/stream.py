@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import atexit
 import math
+import os
 import threading
 import time
 import weakref
@@ -289,6 +290,10 @@ def _stop_all() -> None:
     """The interpreter ends: so does all that still plays."""
     for stream in list(_live):
         stream.stop()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_live.clear)  # its threads are the parent's: nobody here could be waited for
 
 
 def _stop_first_at_exit() -> None:

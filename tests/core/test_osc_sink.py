@@ -98,9 +98,11 @@ def test_who_falls_silent_is_told_as_silent() -> None:
         sink.open()
         play(sink, sine(0.8, 250.0, 0.2))
         ear.wait_for(20 + SILENCE_SLOTS // 2, LOUD)
+        ear.settled()
         loud = ear.values(LOUD)
-        quiet = max(at for at, value in enumerate(loud) if value > 0.0)
-        assert quiet * SLOT_S <= 0.2 + 0.03 + 0.01 * sink.status().underruns
+        # Each underrun, of a busy machine too, costs a fade and splits a slot.
+        assert sum(value > 0.0 for value in loud) * SLOT_S <= 0.2 + 0.02 + 0.01 * sink.status().underruns
+        assert loud[-SILENCE_SLOTS:] == [0.0] * SILENCE_SLOTS
         assert sink.status().underruns >= 1
         play(sink, sine(0.3, 250.0, 0.1))
         sink.finish(1.0)
@@ -148,3 +150,13 @@ def test_what_cannot_be_reached_is_named(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setitem(sys.modules, "pythonosc.udp_client", None)
     with pytest.raises(DeviceError, match="pip install python-osc"):
         OscSink("127.0.0.1", 9000).open()
+
+
+def test_any_fault_of_the_sender_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    with receiver() as got:
+        sink = OscSink("127.0.0.1", got.port)
+        sink.open()
+        monkeypatch.setattr(sink, "_say", lambda level, pitch: [][0])
+        with pytest.raises(DeviceError, match="index out of range"):
+            play(sink, sine(0.5, 100.0, 5.0))
+        sink.close()

@@ -188,3 +188,5 @@ def test_what_is_no_recording_is_refused() -> None:
             source.set_gain(gain)
     source.seek(float("nan"))
     assert source.position_s == 0.0
+    source.seek(1e308)
+    assert source.position_s == source.duration_s

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import subprocess
 import sys
 import threading
@@ -308,6 +309,28 @@ Stream(Recorded(np.ones((500, 1)), 10000.0, loop=True), Telling(), Limits(30.0))
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
     assert (run.returncode, run.stderr) == (0, "")
     assert told.read_text() == "open stop close"
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+def test_a_fork_of_what_plays_ends_at_once(tmp_path: Path) -> None:
+    code = f"""
+import sys; sys.path[:0] = {[str(Path(__file__).parent), str(Path(__file__).parents[2])]!r}
+import os, time
+import numpy as np
+from stream_sink import ClockSink
+from hnf_core.actuators import stream
+from hnf_core.actuators.limits import Limits
+from hnf_core.actuators.sources.recorded import Recorded
+stream._JOIN_S = 30.0
+playing = stream.Stream(Recorded(np.ones((500, 1)), 10000.0, loop=True), ClockSink(), Limits(30.0))
+playing.start()
+child = os.fork()
+if child:
+    assert os.waitpid(child, 0)[1] == 0
+    assert playing.report.problem == ""
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
+    assert (run.returncode, run.stderr) == (0, "")
 
 
 def test_while_it_plays_the_interpreter_is_calm_and_after_it_as_before() -> None:

@@ -156,9 +156,9 @@ class OscSink:
                 if closing:
                     return
                 due = max(due + SLOT_S, time.monotonic() - SLOT_S)
-        except OSError as error:
+        except Exception as error:  # whatever it was, who waits for room must hear of it
             with self._changed:
-                self._problem = f"cannot be reached any more ({error.strerror or error})"
+                self._problem = f"cannot be reached any more ({getattr(error, 'strerror', None) or error})"
                 self._changed.notify_all()
         finally:
             self._client.close()

@@ -178,4 +178,4 @@ def _frames(samples: ArrayLike) -> Samples:
 
 def _place(position_s: float, rate_hz: float, frames: int) -> int:
     """The frame nearest to position_s; the start where it is no number."""
-    return int(min(max(round(position_s * rate_hz), 0), frames)) if np.isfinite(position_s) else 0
+    return round(min(max(position_s * rate_hz, 0.0), frames)) if np.isfinite(position_s) else 0
