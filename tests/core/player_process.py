@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from hnf_core.actuators.player_messages import Command, Report, Status, decode_report, encode
@@ -33,7 +33,7 @@ class PlayerProcess:
             self.process.stdin.write((command if isinstance(command, str) else encode(command)) + "\n")
         self.process.stdin.flush()
 
-    def wait_for(self, holds: Callable[[Report], bool], seconds: float = 20.0) -> Report:
+    def wait_for(self, holds: Callable[[Report], bool], seconds: float = 60.0) -> Report:
         """The first report that holds."""
         until = time.monotonic() + seconds
         while time.monotonic() < until:
@@ -57,9 +57,19 @@ class PlayerProcess:
         """Close its standard input; its exit code."""
         assert self.process.stdin is not None
         self.process.stdin.close()
-        code = self.process.wait(10)
+        code = self.process.wait(30)
         self._reader.join(5)
         return code
+
+    def close(self) -> None:
+        """At once, whatever it does; no pipe is left."""
+        self.process.kill()
+        self.process.wait(10)
+        self._reader.join(5)
+        for pipe in (self.process.stdin, self.process.stdout):
+            assert pipe is not None
+            with suppress(OSError):  # what was still to be said has nobody to hear it
+                pipe.close()
 
     def _read(self) -> None:
         assert self.process.stdout is not None
@@ -73,5 +83,4 @@ def player(words: list[str] | None = None) -> Iterator[PlayerProcess]:
     try:
         yield made
     finally:
-        made.process.kill()
-        made.process.wait(10)
+        made.close()
