@@ -48,7 +48,7 @@ def test_a_stroke_is_played_to_its_end_and_the_level_is_told(link) -> None:
     link.play(tone(0.8))
     assert link.is_playing
     assert phase_of(link) is Phase.OPENING
-    assert until(link, lambda: link.is_sounding and link.newest.status.level_m_s2 > 0.2)
+    assert until(link, lambda: link.is_sounding and link.newest.status.level_m_s2 > 1.0)
     facts = facts_of(link, GENERIC)
     assert facts.phase is Phase.PLAYING
     assert facts.level_m_s2 == pytest.approx(2.0 / np.sqrt(2.0), rel=0.3)
@@ -64,10 +64,12 @@ def test_the_place_goes_on_between_two_reports(link) -> None:
     link.play(tone(2.0))
     assert link.position_s == 0.0
     assert until(link, lambda: link.position_s > 0.3)
-    at, told = link.position_s, link.newest
+    told = link.newest
+    before, at = time.monotonic(), link.position_s
     time.sleep(0.02)
+    later, after = link.position_s, time.monotonic()
     assert link.newest is told
-    assert link.position_s - at == pytest.approx(0.02, abs=0.02)
+    assert 0.02 <= later - at <= after - before
     assert link.position_s <= 2.0
 
 
@@ -79,7 +81,7 @@ def test_stopped_it_is_silent_and_can_be_played_again(link) -> None:
     assert not link.is_playing
     assert until(link, lambda: link.newest is not None and link.newest.status.state == "ended")
     assert link.problem == ""
-    link.play(tone(0.3))
+    link.play(tone(5.0))
     assert until(link, lambda: link.is_sounding)
     assert link.pid == pid
 
@@ -96,12 +98,12 @@ def test_a_change_goes_on_where_it_is_without_opening_the_device_anew(link) -> N
 
 
 def test_played_anew_it_begins_where_it_is_told_on_the_open_device(link) -> None:
-    link.play(tone(4.0))
-    assert until(link, lambda: link.position_s > 0.5)
-    began = link.began
-    link.play(tone(4.0))
-    assert link.position_s < 0.3
-    assert until(link, lambda: 0.25 < link.newest.status.position_s < 0.5)
+    link.play(tone(9.0))
+    assert until(link, lambda: link.newest is not None and link.newest.status.position_s > 1.0)
+    began, at = link.began, link.newest.status.position_s
+    link.play(tone(9.0))
+    assert link.position_s < at
+    assert until(link, lambda: 0.0 < link.newest.status.position_s < at)
     assert link.began is began
 
 
@@ -167,7 +169,7 @@ def test_a_killed_process_is_told_in_one_sentence_and_begun_anew(link) -> None:
     assert AGAIN in link.problem
     assert facts_of(link, GENERIC).problem == link.problem
     assert until(link, lambda: not folder.exists())
-    link.play(tone(0.3))
+    link.play(tone(5.0))
     assert link.problem == ""
     assert until(link, lambda: link.is_sounding)
 
@@ -179,7 +181,7 @@ def test_a_device_that_is_not_there_is_named(link) -> None:
     assert "hnf-no-such-port" in link.problem
     assert not link.is_playing
     with chosen(VIRTUAL):
-        link.play(tone(0.3))
+        link.play(tone(5.0))
         assert until(link, lambda: link.is_sounding)
 
 
@@ -194,7 +196,7 @@ def test_a_sound_that_cannot_be_written_is_told(link) -> None:
 
 def test_a_python_that_cannot_is_followed_by_one_that_can(link, monkeypatch) -> None:
     monkeypatch.setattr(channel, "commands", lambda *_: ([sys.executable, "-c", "exit(4)"], *commands(*_)))
-    link.play(tone(0.3))
+    link.play(tone(5.0))
     assert until(link, lambda: link.is_sounding)
     assert link.problem == ""
 
