@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,19 +12,23 @@ from hypothesis import strategies as st
 
 from hnf_core.actuators.chain import Chain
 from hnf_core.actuators.compensation import Compensation, stages_of
+from hnf_core.actuators.limits import Limits
 from hnf_core.actuators.measure.bands import band_errors, largest_db, third_octaves
 from hnf_core.actuators.measure.estimate import estimate
 from hnf_core.actuators.measure.excitation import noise, sweep
 from hnf_core.actuators.measure.inverse import LARGEST_DB, gain_of, inverse_gain, inverse_taps
 from hnf_core.actuators.measure.profiled import profiled
 from hnf_core.actuators.measure.resonator import Resonator, fit
+from hnf_core.actuators.measure.run import Accelerometer, measure
 from hnf_core.actuators.profile import GENERIC
 from hnf_core.actuators.response import Response, of_gains
-from hnf_core.actuators.sink import SinkFormat
+from hnf_core.actuators.sink import SinkFormat, SinkStatus
+from hnf_core.actuators.sinks.file import FileSink
 from hnf_core.actuators.sources.recorded import Recorded
 from hnf_core.actuators.virtual.transducer import GENERIC_TRANSDUCER, drive_of, move
-from hnf_core.errors import UsageError
+from hnf_core.errors import DeviceError, UsageError
 from hnf_core.metrics.band_energy import band_power
+from hnf_core.signal import Signal
 
 RATE = 10_000.0
 GRID_HZ = np.geomspace(10.0, 1000.0, 150)
@@ -222,3 +227,29 @@ def test_an_excitation_stays_within_its_level_and_band() -> None:
     assert np.array_equal(
         noise(RATE, 1.0, 20, 800, 3.0, seed=1).samples, noise(RATE, 1.0, 20, 800, 3.0, seed=1).samples
     )
+
+
+class Deaf(Accelerometer):
+    """Hears nothing, and needs no sound input."""
+
+    def __init__(self) -> None:
+        super().__init__(None, 1.0)
+
+    def __enter__(self) -> Deaf:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def heard(self) -> Signal:
+        return Signal(np.zeros(100, np.float32), RATE, 0)
+
+
+def test_a_measurement_that_meets_a_limit_or_misses_samples_is_refused(tmp_path: Path) -> None:
+    loud = sweep(RATE, 0.5, 20.0, 500.0, 20.0)
+    with pytest.raises(UsageError, match=r"beyond the device's limits\. Measure with a lower --level"):
+        measure(FileSink(tmp_path / "x.wav", int(RATE)), Deaf(), loud, Limits(10.0))
+    poor = FileSink(tmp_path / "x.wav", int(RATE))
+    poor.status = lambda: SinkStatus(played=5000, underruns=3)  # type: ignore[method-assign]
+    with pytest.raises(DeviceError, match=r"ran out of samples 3 times\. Close"):
+        measure(poor, Deaf(), loud, Limits(30.0))

@@ -99,11 +99,14 @@ def measure(sink: Sink, sensor: Accelerometer, excitation: Signal, limits: Limit
     heard = sensor.heard()
     if report.problem or not ended:
         raise DeviceError(report.problem or "the device did not play the excitation to its end.")
-    if report.underruns or report.limited_samples:
+    if report.underruns:
+        raise DeviceError(
+            f"the device ran out of samples {report.underruns} times.",
+            remedy="Close what computes beside it, and measure again.",
+        )
+    if report.limited_samples:
         raise UsageError(
-            f"the device did not get what it was asked for: {report.underruns} underruns, {report.limited_samples} "
-            "samples beyond its limits.",
-            remedy="Measure with a lower --level, on a machine at rest.",
+            f"{report.limited_samples} samples were beyond the device's limits.", remedy="Measure with a lower --level."
         )
     asked = asked_of(excitation, replace(device, channels=1), limits)
     return asked, at_rate(heard, device.rate_hz)
