@@ -41,6 +41,8 @@ SOFT = 0.002
 
 _PERIOD_S = 10.0
 _MARGIN_S = 30.0
+_LEAVE_S = 10.0
+_BUSY = "import os; parent = os.getppid()\nwhile os.getppid() == parent: pass"
 
 
 @dataclass(frozen=True)
@@ -177,16 +179,20 @@ def device(record: Path) -> Iterator[_Device]:
     try:
         yield _Device(process)
     finally:
-        process.kill()
-        process.communicate()
+        try:
+            process.communicate(timeout=_LEAVE_S)  # its input ends: it leaves, and nothing of it stays
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
 
 
 @contextmanager
 def _core_busy(busy: bool) -> Iterator[None]:
-    process = subprocess.Popen([sys.executable, "-c", "while True: pass"]) if busy else None
+    process = subprocess.Popen([sys.executable, "-c", _BUSY]) if busy else None
     try:
         yield
     finally:
         if process is not None:
             process.kill()
+            process.wait()
             process.wait()

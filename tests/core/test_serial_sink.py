@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -161,6 +164,26 @@ def test_where_nobody_answers_it_says_what_to_check() -> None:
     assert time.monotonic() - began >= 0.3
     for end in ends:
         os.close(end)
+
+
+def test_the_folder_of_a_program_that_was_killed_goes_with_the_next_port(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    code = "from hnf_core.actuators.virtual.port import VirtualPort as P; p = P(); print(p.path, flush=True); input()"
+    words = [sys.executable, "-c", f"import sys, tempfile; tempfile.tempdir = {str(tmp_path)!r}\n{code}"]
+    root, pipe = Path(__file__).resolve().parents[2], subprocess.PIPE
+    with subprocess.Popen(words, cwd=root, text=True, stdin=pipe, stdout=pipe) as killed:
+        assert killed.stdout is not None
+        left = Path(killed.stdout.readline().strip()).parent
+        with VirtualPort():
+            assert left.is_dir(), "it lives"
+        killed.kill()
+        killed.wait(10)
+    assert left.is_dir()
+    with VirtualPort() as port:
+        assert [each.name for each in tmp_path.iterdir()] == [Path(port.path).parent.name]
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_there_is_no_such_port() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 import threading
 import time
@@ -26,6 +27,9 @@ LOST_S = 0.5
 READ_BYTES = 65_536
 HELD_BYTES = 4096
 """That wait for a host that does not read; more is lost, as on any wire."""
+
+_PREFIX = "hnf-virtual-"
+"""Of the folder that a port lies in; then follows whose it is."""
 
 Wire = Callable[[bytes], bytes]
 
@@ -62,7 +66,8 @@ class VirtualPort:
         self.baud: int | None = None
         self.from_host: Wire = _as_it_is
         self.to_host: Wire = _as_it_is
-        self._folder = tempfile.TemporaryDirectory(prefix="hnf-virtual-")
+        _remove_abandoned()
+        self._folder = tempfile.TemporaryDirectory(prefix=f"{_PREFIX}{os.getpid()}-")
         self.path = str(Path(self._folder.name) / "port")
         self._lock = threading.RLock()
         self._ends: tuple[int, int] | None = None
@@ -164,3 +169,21 @@ class VirtualPort:
         except OSError:
             said = b""
         self._held = said if len(said) <= HELD_BYTES else b""
+
+
+def _remove_abandoned() -> None:
+    """Folders of processes that were killed: they could not do it themselves."""
+    for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*-*"):
+        owner = folder.name.removeprefix(_PREFIX).partition("-")[0]
+        if owner.isdecimal() and not _is_alive(int(owner)):
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass
+    return True
