@@ -11,8 +11,9 @@ from ..response import QUIET_DB, Response
 
 Float = NDArray[np.float64]
 
-WINDOW_S = 0.4
-"""Of a window: 2.5 Hz apart, and enough of them in some seconds for the coherence to mean something."""
+SHORTEST_S, LONGEST_S, WINDOWS = 0.4, 1.6, 8
+"""A window is a WINDOWS-th of what was played, within these: the longer, the narrower a resonance may be (2.5 Hz apart
+with 0.4 s), and enough of them for the coherence to mean something."""
 PER_OCTAVE = 24
 LEAST_COHERENCE = 0.5
 """Below it a frequency says more about the noise than about the actuator."""
@@ -31,7 +32,6 @@ def estimate(asked: ArrayLike, got: ArrayLike, rate_hz: float, low_hz: float, hi
             f"there is no range from {low_hz:g} to {high_hz:g} Hz.", remedy="Give ascending frequencies above 0."
         )
     first, second = (np.asarray(values, dtype=np.float64) for values in (asked, got))
-    window = round(WINDOW_S * rate_hz)
     if not (first.any() and second.any() and np.isfinite(first).all() and np.isfinite(second).all()):
         raise UsageError(
             "nothing came back, or nothing was asked for.",
@@ -39,9 +39,10 @@ def estimate(asked: ArrayLike, got: ArrayLike, rate_hz: float, low_hz: float, hi
         )
     delay = delay_frames(first, second)
     before, after = _overlap(first, second, delay)
+    window = round(min(max(len(before) / WINDOWS, SHORTEST_S * rate_hz), LONGEST_S * rate_hz))
     if len(before) < 2 * window:
         raise UsageError(
-            f"a response cannot be read from less than {2 * WINDOW_S:g} s.",
+            f"a response cannot be read from less than {2 * SHORTEST_S:g} s.",
             remedy="Play a longer sweep, and record all of it.",
         )
     cross, power, came = _spectra(before, after, window)
