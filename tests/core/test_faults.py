@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from ptys import needs_pty
 
 from hnf_core.bench import faults_process
 from hnf_core.bench.faults import faults_of, outcomes
@@ -13,7 +14,7 @@ from hnf_core.bench.faults_kinds import KINDS, Kind
 from hnf_core.bench.faults_rig import Outcome
 
 pytest.importorskip("serial", reason="pyserial is not installed")
-pytest.importorskip("pty", reason="this system has no ptys")
+pytestmark = needs_pty
 
 OF_A_PROCESS = (faults_process.killed, faults_process.slept_briefly, faults_process.slept_long)
 HERE = [kind for kind in KINDS if kind.trial not in OF_A_PROCESS]

@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 
 import pytest
+from ptys import needs_pty
 
 from hnf_core.bench import faults_process
 from hnf_core.bench.faults import faults_of, outcomes
 from hnf_core.bench.faults_kinds import KINDS, Kind
 
 pytest.importorskip("serial", reason="pyserial is not installed")
-pytest.importorskip("pty", reason="this system has no ptys")
+pytestmark = needs_pty
 if os.name != "posix":
     pytest.skip("this system has no signals that stop a process", allow_module_level=True)
 

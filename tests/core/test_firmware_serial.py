@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from firmware_host import build
 from numpy.typing import NDArray
+from ptys import needs_pty
 
 from hnf_core.actuators.sinks import rate_watch
 from hnf_core.actuators.sinks.serial import SerialSink
 from hnf_core.errors import DeviceError
 
 pytest.importorskip("serial", reason="pyserial is not installed")
+pytestmark = needs_pty
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from osc_receiver import Receiver, receiver
 from player_process import ROOT, player
+from ptys import needs_pty
 
 from hnf_core.actuators.acceleration import read_acceleration
 from hnf_core.actuators.chain import counts_of
@@ -231,6 +232,7 @@ def test_it_leaves_softly(tmp_path: Path, end: str) -> None:
     assert loud[last] == pytest.approx(0.25, abs=0.03)
 
 
+@needs_pty
 def test_a_player_that_is_killed_is_silent_within_20_ms(tmp_path: Path) -> None:
     """By the device's own sample clock: it had at most 15 ms, and fades."""
     pytest.importorskip("serial", reason="pyserial is not installed")

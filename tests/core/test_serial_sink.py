@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ptys import needs_pty
 
 from hnf_core.actuators.protocol.frames import OVERHEAD
 from hnf_core.actuators.protocol.messages import Samples, frames_per_message
@@ -24,7 +25,7 @@ from hnf_core.actuators.virtual.sink import VirtualSink
 from hnf_core.errors import DeviceError, UsageError
 
 pytest.importorskip("serial", reason="pyserial is not installed")
-pytest.importorskip("pty", reason="this system has no ptys")
+pytestmark = needs_pty
 
 
 @pytest.fixture
@@ -164,6 +165,17 @@ def test_where_nobody_answers_it_says_what_to_check() -> None:
     assert time.monotonic() - began >= 0.3
     for end in ends:
         os.close(end)
+
+
+def test_a_system_that_gives_no_pty_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def none_left() -> None:
+        raise OSError("out of pty devices")
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr("pty.openpty", none_left)
+    with pytest.raises(DeviceError, match=r"gives none \(out of pty devices\).*/dev/pts"):
+        VirtualSink(8000).open()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_folder_of_a_program_that_was_killed_goes_with_the_next_port(

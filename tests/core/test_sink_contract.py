@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import socket
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from ptys import why_not
 from stream_sink import ClockSink, check_sink
 
 from hnf_core.actuators.sink import Sink
@@ -25,8 +25,8 @@ def osc(folder: Path) -> Sink:
 
 def virtual(folder: Path) -> Sink:
     pytest.importorskip("serial", reason="pyserial is not installed")
-    if os.name == "nt":
-        pytest.skip("Windows has no ptys")
+    if why_not():
+        pytest.skip(why_not())
     return VirtualSink(8000, 2)
 
 

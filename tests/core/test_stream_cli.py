@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import pty
 import re
 import signal
 import subprocess
@@ -16,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from osc_receiver import receiver
+from ptys import needs_pty
 
 from hnf_core.actuators.chain import counts_of
 from hnf_core.actuators.profile import GENERIC
@@ -162,6 +162,7 @@ def test_a_missing_file_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "no.wav: cannot be read" in capsys.readouterr().err
 
 
+@needs_pty
 def test_the_virtual_actuator_plays(noise: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("serial", reason="pyserial is not installed")
     hnf(noise, "--to", "virtual", "--seconds", "0.3", "--block", "20", "--json")
@@ -189,9 +190,10 @@ def test_ctrl_c_stops_softly_and_reports(noise: Path, how: signal.Signals) -> No
         assert ear.values("/hnf/1/amplitude")[-1] == 0.0
 
 
+@needs_pty
 def test_the_meter_redraws_one_line_on_a_terminal(noise: Path) -> None:
     pytest.importorskip("pythonosc", reason="python-osc is not installed")
-    ours, theirs = pty.openpty()
+    ours, theirs = os.openpty()
     with receiver() as ear:
         words = [*HNF, "stream", str(noise), "--to", ear.target, "--seconds", "0.4"]
         with subprocess.Popen(words, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=theirs) as process:

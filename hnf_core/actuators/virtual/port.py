@@ -50,7 +50,7 @@ class VirtualPort:
     def __init__(
         self, abilities: Abilities | None = None, transducer: Transducer = GENERIC_TRANSDUCER, *, speed: float = 1.0
     ) -> None:
-        """Raises DeviceError where the system has no ptys (Windows)."""
+        """Raises DeviceError where the system has no ptys (Windows), or none to give."""
         try:
             import pty
             import tty
@@ -74,7 +74,11 @@ class VirtualPort:
         self._held, self._budget = b"", 0.0
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="hnf virtual device", daemon=True)
-        self.plug()
+        try:
+            self.plug()
+        except DeviceError:
+            self._folder.cleanup()
+            raise
         self._thread.start()
 
     def __enter__(self) -> VirtualPort:
@@ -84,11 +88,17 @@ class VirtualPort:
         self.close()
 
     def plug(self) -> None:
-        """Put the plug in; harmless where it is."""
+        """Put the plug in; harmless where it is. Raises DeviceError where there is no pty to be had."""
         with self._lock:
             if self._ends is not None:
                 return
-            ours, theirs = self._open_pty()
+            try:
+                ours, theirs = self._open_pty()
+            except OSError as error:
+                raise DeviceError(
+                    f"the virtual actuator needs a pty, and the system gives none ({error}).",
+                    remedy="In a container: mount /dev/pts; or play to a file, or on a real device.",
+                ) from error
             # Theirs stays open here too: nothing tells a device on a wire that its host is gone.
             self._set_raw(ours)
             self._set_raw(theirs)
