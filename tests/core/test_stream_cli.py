@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 import wave
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -172,8 +173,16 @@ def test_the_virtual_actuator_plays(noise: Path, capsys: pytest.CaptureFixture[s
     assert 0.0 < report["peak"] <= 1.0
 
 
+@pytest.fixture
+def ctrl_c_is_heard() -> Iterator[None]:
+    """By children too: tests that a shell runs in the background inherit that it is not."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
-def test_ctrl_c_stops_softly_and_reports(noise: Path, how: signal.Signals) -> None:
+def test_ctrl_c_stops_softly_and_reports(noise: Path, how: signal.Signals, ctrl_c_is_heard: None) -> None:
     pytest.importorskip("pythonosc", reason="python-osc is not installed")
     with receiver() as ear:
         words = [*HNF, "stream", str(noise), "--to", ear.target, "--loop", "--json"]
