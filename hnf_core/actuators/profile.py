@@ -61,8 +61,11 @@ PROFILES: dict[str, ActuatorProfile] = {
         ActuatorProfile(
             "eai-c-mf",
             "EAI C-MF tactor",
-            "Engineering Acoustics, C-MF product data sheet Rev. 2, 2021: 180–280 Hz",
+            "Engineering Acoustics, C-MF product data sheet Rev. 2, 2021: 180–280 Hz; 0.25 A RMS, "
+            "0.5 A at most, for less than a tenth of the time",
             range_hz=(180.0, 280.0),
+            # Full scale is the peak of a sine of 0.5 A RMS; 0.25 A for a tenth of the time is 0.079 A RMS for ever.
+            sustained=0.11,
         ),
     )
 }
