@@ -1,7 +1,7 @@
 """Run every check in its environment, two at a time, and end with one merged summary in pytest's own form.
 
     .venv/bin/python tools/run_tests.py             lint, types, core on numpy 1.26 and 1.24, and tests/blender
-                                                    on bpy 5.0, 4.5 and 4.2
+                                                    on bpy 5.0, 4.5 and 4.2, but for what without() names
     .venv/bin/python tools/run_tests.py app         the real, windowed Blender
     .venv/bin/python tools/run_tests.py core types  some of them by name
 

@@ -51,11 +51,3 @@ class Response:
         """Read on a logarithmic axis, held beyond the ends."""
         at = np.maximum(np.asarray(frequency_hz, dtype=np.float64), self.frequency_hz[0])
         return np.asarray(np.interp(np.log(at), np.log(self.frequency_hz), self.gain_db))
-
-
-def of_gains(frequency_hz: ArrayLike, gain: ArrayLike) -> Response:
-    """A response of complex gains (n,), as a model or a data sheet gives it."""
-    value = np.asarray(gain, dtype=np.complex128)
-    level = 20.0 * np.log10(np.maximum(np.abs(value), 10.0 ** (QUIET_DB / 20.0)))
-    phase = np.unwrap(np.angle(value))
-    return Response(np.asarray(frequency_hz, dtype=np.float64), level, phase, np.ones(len(level)))

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from responses import of_gains
 
 from hnf_core.actuators.measure.resonator import Resonator
 from hnf_core.actuators.profile import GENERIC, ActuatorProfile
 from hnf_core.actuators.profile_file import profile_at, read_profile, write_profile
-from hnf_core.actuators.response import of_gains
 from hnf_core.cli.main import main
 from hnf_core.errors import FileError, UsageError
 from hnf_core.export.wav import read_wav, write_wav

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from responses import of_gains
 
 from hnf_core.actuators.chain import Chain
 from hnf_core.actuators.compensation import Compensation, stages_of
@@ -21,7 +22,7 @@ from hnf_core.actuators.measure.profiled import profiled
 from hnf_core.actuators.measure.resonator import Resonator, fit
 from hnf_core.actuators.measure.run import Accelerometer, measure
 from hnf_core.actuators.profile import GENERIC
-from hnf_core.actuators.response import Response, of_gains
+from hnf_core.actuators.response import Response
 from hnf_core.actuators.sink import SinkFormat, SinkStatus
 from hnf_core.actuators.sinks.file import FileSink
 from hnf_core.actuators.sources.recorded import Recorded

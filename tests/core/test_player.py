@@ -15,6 +15,7 @@ import pytest
 from osc_receiver import Receiver, receiver
 from player_process import ROOT, player
 from ptys import needs_pty
+from responses import of_gains
 
 from hnf_core.actuators.acceleration import read_acceleration
 from hnf_core.actuators.chain import counts_of
@@ -42,7 +43,6 @@ from hnf_core.actuators.player_messages import (
 )
 from hnf_core.actuators.profile import GENERIC, own_profile
 from hnf_core.actuators.profile_file import read_profile, write_profile
-from hnf_core.actuators.response import of_gains
 from hnf_core.actuators.sink import SinkFormat
 from hnf_core.actuators.sources.recorded import Recorded
 from hnf_core.actuators.virtual.port import VirtualPort
