@@ -1,0 +1,204 @@
+"""Views: what the networks see of a patch, always 64 pixels square, at one of four pitches an octave apart.
+
+At every pitch the same four token bands are resolved and held by at least two of their periods, at 25.6, 12.8, 6.4
+and 3.2 pixels: with lengths in pixels (slopes have none) a pattern of 8 mm in the widest view is the same problem as
+one of 1 mm in the finest, and one network learns them together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import UsageError
+from .height import fill_masked
+from .spectral import filtered, frequencies
+
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+PITCHES_M = (312.5e-6, 156.25e-6, 78.125e-6, 39.0625e-6)
+"""Metres per pixel: views are 20, 10, 5 and 2.5 mm wide."""
+VIEW_PIXELS = 64
+PASS = 0.9
+"""Share of the new Nyquist frequency up to which decimation keeps everything; at Nyquist nothing is left."""
+SLACK = 1e-6
+"""Relative: a picture of exactly the pitch resolves it, whatever the rounding."""
+GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
+
+
+@dataclass(frozen=True)
+class LookView:
+    """A patch's look in one view (column → +x, row → −y).
+
+    rgb: (64, 64, 3) float32 linear colour 0–1. depth_m: (64, 64) float32 macro depth in metres less its mean, 0 where
+    unknown. depth_known: whether there is a depth at all. pitch_m: one of PITCHES_M.
+    """
+
+    rgb: NDArray[np.float32]
+    depth_m: NDArray[np.float32]
+    depth_known: bool
+    pitch_m: float
+
+
+def cut_views(
+    rgb: ArrayLike,
+    depth_m: ArrayLike | None,
+    mask: ArrayLike | None,
+    metres_per_pixel: float,
+    resolved_wavelength_m: float,
+    *,
+    near: int = 4,
+) -> tuple[LookView, ...]:
+    """One widest view of a patch, and up to `near` at the finest pitch that the picture resolves.
+
+    rgb: (H, W, 3) linear colour. depth_m: (H, W) macro depth in metres, not finite where unknown; None where there is
+    none. mask: (H, W) bool, True where the patch's own surface was seen (None: everywhere). resolved_wavelength_m:
+    two texels of the picture. A pitch is resolved from half of that on; a view must lie inside the mask altogether.
+    The widest view is the one nearest to the middle; the near ones are spread over the patch, none twice. Places
+    depend on the mask alone. Empty where no pitch is resolved or no view fits. Raises UsageError on shapes that do
+    not fit.
+    """
+    colour = np.asarray(rgb, dtype=np.float64)
+    if colour.ndim != 3 or colour.shape[2] != 3 or min(colour.shape[:2]) < 2:
+        raise UsageError(f"a patch's colour must be (H, W, 3), not {colour.shape}.")
+    shape = (colour.shape[0], colour.shape[1])
+    depth = np.full(shape, np.nan) if depth_m is None else np.asarray(depth_m, dtype=np.float64)
+    seen = np.ones(shape, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
+    if depth.shape != shape or seen.shape != shape:
+        raise UsageError(f"colour {shape}, depth {depth.shape} and mask {seen.shape} do not fit together.")
+    if not metres_per_pixel > 0 or not resolved_wavelength_m > 0 or near < 0:
+        raise UsageError("metres per pixel and the resolved wavelength must be positive, near must not be negative.")
+    finest = max(resolved_wavelength_m / 2.0, metres_per_pixel) * (1.0 - SLACK)
+    sharp = [pitch for pitch in PITCHES_M if pitch >= finest]
+    fitting = [(pitch, corners) for pitch in sharp if len(corners := _corners(seen, pitch / metres_per_pixel))]
+    if not fitting:
+        return ()
+    layers = [np.where(seen, channel, np.nan) for channel in (*np.moveaxis(colour, -1, 0), depth)]
+    out = _views(layers, metres_per_pixel, fitting[0][0], _spread(*fitting[0], metres_per_pixel, shape, 1))
+    if len(fitting) > 1:
+        out += _views(layers, metres_per_pixel, fitting[-1][0], _spread(*fitting[-1], metres_per_pixel, shape, near))
+    return tuple(out)
+
+
+def band_limited(values: ArrayLike, factor: float) -> Float:
+    """(H, W) values, low-passed for a grid `factor` times as coarse; unchanged from factor 1 on downwards.
+
+    Full up to PASS of the new Nyquist frequency, a raised cosine down to nothing at it, along each axis.
+    """
+    plain = np.asarray(values, dtype=np.float64)
+    if factor <= 1.0 + SLACK:
+        return plain.copy()
+    (kept,), slopes = filtered(plain, 1.0, lambda shape: [_response(shape, factor)], "even", 8.0 * factor)
+    rows = np.arange(plain.shape[0]) - (plain.shape[0] - 1) / 2
+    columns = np.arange(plain.shape[1]) - (plain.shape[1] - 1) / 2
+    # filtered() sets the mean plane aside and returns its slopes alone (y up); its height is the mean.
+    return np.asarray(kept + plain.mean() + slopes[0] * columns[None, :] - slopes[1] * rows[:, None])
+
+
+def decimated_tile(tile: ArrayLike, factor: int) -> Float:
+    """(..., H, W) of a tile that repeats → (..., H/factor, W/factor): the same low-pass, exact on the torus.
+
+    New pixel centres lie on the centres of the factor × factor blocks that they replace. Raises UsageError where
+    factor does not divide the size.
+    """
+    values = np.asarray(tile, dtype=np.float64)
+    rows, columns = values.shape[-2:]
+    if factor < 1 or rows % factor or columns % factor:
+        raise UsageError(f"a tile of {rows} × {columns} pixels cannot be made {factor} times as coarse.")
+    if factor == 1:
+        return values.copy()
+    fx, fy = frequencies((rows, columns), 1.0)
+    # Half a pixel less than half a block: from the first pixel's centre to the block's (y is up, rows go down).
+    shift = np.exp(2j * np.pi * (factor - 1) / 2.0 * (fx - fy))
+    spectrum = np.fft.rfft2(values) * (_response((rows, columns), float(factor)) * shift)
+    return np.ascontiguousarray(np.fft.irfft2(spectrum, s=(rows, columns))[..., ::factor, ::factor])
+
+
+def _response(shape: tuple[int, int], factor: float) -> Float:
+    across, up = (np.abs(f) * 2.0 * factor for f in frequencies(shape, 1.0))
+    return np.asarray(_roll_off(across) * _roll_off(up))
+
+
+def _roll_off(share_of_nyquist: Float) -> Float:
+    place = np.clip((share_of_nyquist - PASS) / (1.0 - PASS), 0.0, 1.0)
+    return np.asarray(0.5 + 0.5 * np.cos(np.pi * place))
+
+
+def _corners(seen: Mask, factor: float) -> NDArray[np.intp]:
+    """(n, 2) upper left source pixels of views inside the mask, an eighth of a view apart."""
+    side = int(np.ceil(VIEW_PIXELS * factor - SLACK))
+    rows, columns = seen.shape
+    if side > min(rows, columns):
+        return np.zeros((0, 2), dtype=np.intp)
+    summed = np.pad(np.cumsum(np.cumsum(seen, axis=0), axis=1), ((1, 0), (1, 0)))
+    count = summed[side:, side:] - summed[:-side, side:] - summed[side:, :-side] + summed[:-side, :-side]
+    step = max(side // 8, 1)
+    # Both ends and the middle are among the places, so that a patch of exactly one view has its one.
+    places = [
+        np.unique(np.r_[np.arange(0, size - side + 1, step), (size - side) // 2, size - side]) for size in seen.shape
+    ]
+    row, column = (grid.ravel() for grid in np.meshgrid(*places, indexing="ij"))
+    inside = count[row, column] == side * side
+    return np.stack([row[inside], column[inside]], axis=1)
+
+
+def _spread(
+    pitch: float, corners: NDArray[np.intp], metres_per_pixel: float, shape: tuple[int, int], wanted: int
+) -> NDArray[np.intp]:
+    """Up to `wanted` of the corners (n, 2) that do not overlap, each the nearest to a point of a sunflower spiral."""
+    side = VIEW_PIXELS * pitch / metres_per_pixel
+    middle = corners + side / 2.0
+    centre = np.asarray(shape) / 2.0
+    free = np.ones(len(corners), dtype=bool)
+    chosen: list[int] = []
+    for index in range(wanted):
+        if not free.any():
+            break
+        # One view alone looks at the middle.
+        radius = 0.0 if wanted == 1 else np.sqrt((index + 0.5) / wanted) / np.sqrt(2.0)
+        angle = np.pi / 4.0 + index * GOLDEN_ANGLE
+        target = centre * (1.0 + radius * np.array([np.sin(angle), np.cos(angle)]))
+        distance = np.hypot(*(middle - target).T)
+        chosen.append(int(np.argmin(np.where(free, distance, np.inf))))
+        free &= np.abs(corners - corners[chosen[-1]]).max(axis=1) >= side - SLACK
+    return corners[chosen]
+
+
+def _views(layers: list[Float], metres_per_pixel: float, pitch: float, corners: NDArray[np.intp]) -> list[LookView]:
+    factor = pitch / metres_per_pixel
+    finite = [np.isfinite(layer) for layer in layers]
+    smooth = [
+        band_limited(fill_masked(layer, known), factor) if known.any() else np.zeros(layer.shape)
+        for layer, known in zip(layers, finite, strict=True)
+    ]
+    out = []
+    for corner in corners:
+        rows, columns = (start + (np.arange(VIEW_PIXELS) + 0.5) * factor - 0.5 for start in corner)
+        red, green, blue, depth = (_at(layer, rows, columns) for layer in smooth)
+        known = _at(finite[3].astype(np.float64), rows, columns) > 0.5
+        level = np.where(known, depth - depth[known].mean(), 0.0) if known.any() else np.zeros_like(depth)
+        rgb = np.clip(np.stack([red, green, blue], axis=-1), 0.0, 1.0).astype(np.float32)
+        out.append(LookView(rgb, level.astype(np.float32), bool(known.any()), pitch))
+    return out
+
+
+def _at(values: Float, rows: Float, columns: Float) -> Float:
+    """Values at fractional rows and columns, by cubic convolution along each axis (Keys 1981, a = −1/2)."""
+    return np.asarray(_taps(rows, values.shape[0]) @ values @ _taps(columns, values.shape[1]).T)
+
+
+def _taps(place: Float, size: int) -> Float:
+    """(n, size) weights of the four neighbours of each place; the edge is held."""
+    inside = np.clip(place, 0.0, size - 1.0)
+    base = np.floor(inside).astype(np.intp)
+    weights = np.zeros((len(place), size))
+    for step in (-1, 0, 1, 2):
+        distance = np.abs(inside - (base + step))
+        near = (1.5 * distance - 2.5) * distance**2 + 1.0
+        far = ((-0.5 * distance + 2.5) * distance - 4.0) * distance + 2.0
+        kernel = np.where(distance <= 1.0, near, np.where(distance < 2.0, far, 0.0))
+        np.add.at(weights, (np.arange(len(place)), np.clip(base + step, 0, size - 1)), kernel)
+    return weights
