@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from ..errors import HnfError, UsageError
 from .progress import Progress, ProgressBar
+
+SUBJECTS: tuple[Callable[[Any], object], ...] = ()
+"""What else can be measured: each adds a parser that names its own runner as the default of `run`."""
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
@@ -20,7 +24,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         "them learned from, and write eval.md, eval.json and pictures. Takes minutes for each material; --quick "
         "proves that it runs and nothing else. Needs the extra [train].",
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write into")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder to write into (needed)")
     parser.add_argument("--quick", action="store_true", help="few materials, short strokes, a few steps of training")
     parser.add_argument("--hatt", type=Path, metavar="DIR", help="your copy of the Penn Haptic Texture Toolkit")
     parser.add_argument("--weights", type=Path, metavar="FILE", help="the shared field (default: the shipped one)")
@@ -33,11 +37,17 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser.add_argument("--workers", type=int, default=2, metavar="N", help="materials at once (default 2)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of strokes, draws and training")
     parser.add_argument("--json", action="store_true", help="print the report as one JSON object")
+    if SUBJECTS:
+        subjects = parser.add_subparsers(dest="what", metavar="WHAT", help="instead of fields and rivals")
+        for add_subject in SUBJECTS:
+            add_subject(subjects)
     return parser
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
+    if arguments.out is None:
+        raise UsageError("hnf eval writes a report and pictures.", remedy="Say where: --out DIR.")
     if arguments.workers < 1 or arguments.seed < 0 or arguments.textures < 0 or not 5.0 <= arguments.seconds <= 1e4:
         raise UsageError("--workers must be at least 1, --seed and --textures 0, --seconds 5.")
     try:

@@ -1,10 +1,12 @@
-"""`hnf train field`: a field for one material, from the user's own copy of a data set or from the simulator."""
+"""`hnf train`: what can be trained; `hnf train field`, a field for one material, from the user's own copy of a data set
+or from the simulator."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,17 +25,31 @@ LICENCES = {
     "lmt": "trained on the LMT haptic texture database: its own terms apply",
     "simulated": "GPL-3.0-or-later",
 }
+SUBJECTS: tuple[Callable[[Any], object], ...] = ()
+"""What else can be trained: each adds a parser that names its own runner as the default of `run`."""
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(
         "train",
-        help="train a field on recordings of one material",
+        help="train a field on recordings of one material, or another of the networks",
+        description="Train one of the networks. Needs the extra [train].",
+    )
+    subjects = parser.add_subparsers(dest="what", metavar="WHAT", required=True)
+    _add_field(subjects)
+    for add_subject in SUBJECTS:
+        add_subject(subjects)
+    return parser
+
+
+def _add_field(subjects: Any) -> None:
+    parser = subjects.add_parser(
+        "field",
+        help="a field for one material",
         description="Train F_Θ for one material and write its weights for `hnf synth --weights`. Recordings are read "
         "from the folder; where a data set holds texture models, strokes are first synthesised from them. A killed run "
         "goes on where it was when the same command is given again. Needs the extra [train].",
     )
-    parser.add_argument("what", choices=["field"], help="what to train")
     parser.add_argument(
         "--data", nargs="+", required=True, metavar=("KIND", "DIR"),
         help="hatt, cluster or lmt and the folder of your copy, or simulated",
@@ -58,7 +74,6 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of strokes, noise and initial weights")
     parser.add_argument("--fresh", action="store_true", help="start anew even where a killed run could go on")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
-    return parser
 
 
 def run(arguments: argparse.Namespace) -> int:
