@@ -1,0 +1,133 @@
+"""Pairs of one look and one touch of the same place, and what every set of them can be asked."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import FileError, UsageError
+
+Picture = NDArray[np.float32]
+SensorName = Literal["gelsight", "digit"]
+
+
+@dataclass(frozen=True, eq=False)
+class VisionTouchPair:
+    """What a camera and a touch sensor saw of one place.
+
+    rgb: (H, W, 3) linear, 0 to 1. depth_m: (H, W) of the same pixels, None where it was not recorded.
+    touch: (h, w, 3) linear, 0 to 1. background: the sensor untouched, as touch; None where it was not recorded.
+    sensor: whose optics the touch has. label: the material in the data set's own word, None where it has none.
+    where: scene, recording or texture. Pairs of one where look alike: a split keeps them together.
+    metres_per_pixel: of rgb, None where it is unknown.
+    """
+
+    rgb: Picture
+    depth_m: Picture | None
+    touch: Picture
+    background: Picture | None
+    sensor: SensorName
+    label: str | None
+    where: str
+    metres_per_pixel: float | None
+
+    def __post_init__(self) -> None:
+        for name, picture, depth in (("rgb", self.rgb, 3), ("touch", self.touch, 3), ("background", self.background, 3),
+                                     ("depth_m", self.depth_m, None)):  # fmt: skip
+            if picture is not None and (
+                picture.dtype != np.float32 or picture.shape[2:] != ((depth,) if depth else ())
+            ):
+                raise UsageError(f"{name} is {picture.dtype} {picture.shape}.", where=self.where, remedy="See above.")
+        if self.depth_m is not None and self.depth_m.shape != self.rgb.shape[:2]:
+            raise UsageError("depth and picture have different pixels.", where=self.where, remedy="Resample one.")
+        if self.background is not None and self.background.shape != self.touch.shape:
+            raise UsageError("touch and background have different pixels.", where=self.where, remedy="Resample one.")
+
+
+class VisionTouchPairs(Protocol):
+    """A lazy sequence: everything but an item is known without opening a picture."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int, /) -> VisionTouchPair:
+        """Decodes one pair. Raises FileError where a file of it cannot be used."""
+        ...
+
+    @property
+    def labels(self) -> tuple[str | None, ...]: ...
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """`where` of each pair."""
+        ...
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was assumed and what was left out, with counts."""
+        ...
+
+
+@dataclass(frozen=True)
+class PairFiles:
+    """Where the parts of one pair lie; the meaning is VisionTouchPair's."""
+
+    rgb: Path
+    touch: Path
+    where: str
+    label: str | None = None
+    depth: Path | None = None
+    background: Path | None = None
+
+
+@dataclass(frozen=True)
+class FilePairs(Sequence[VisionTouchPair]):
+    """Pairs in files, each read when it is asked for and not kept. read: the data set's own way from files to pair."""
+
+    entries: tuple[PairFiles, ...]
+    read: Callable[[PairFiles], VisionTouchPair]
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    @overload
+    def __getitem__(self, index: int, /) -> VisionTouchPair: ...
+    @overload
+    def __getitem__(self, index: slice, /) -> FilePairs: ...
+    def __getitem__(self, index: int | slice, /) -> VisionTouchPair | FilePairs:
+        if isinstance(index, slice):
+            return FilePairs(self.entries[index], self.read, self.notes)
+        return self.read(self.entries[index])
+
+    @property
+    def labels(self) -> tuple[str | None, ...]:
+        return tuple(entry.label for entry in self.entries)
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        return tuple(entry.where for entry in self.entries)
+
+
+def readable(pairs: VisionTouchPairs, skipped: list[FileError]) -> Iterator[VisionTouchPair]:
+    """The pairs whose files can be used, in order; the errors of the others are appended to skipped.
+
+    One damaged picture among thousands must not end a training, nor go unnoticed.
+    """
+    for index in range(len(pairs)):
+        try:
+            pair = pairs[index]
+        except FileError as error:
+            skipped.append(error)
+            continue
+        yield pair
+
+
+def counted(left_out: Counter[str]) -> tuple[str, ...]:
+    """Reasons with their counts as notes, the most frequent first: "3 left out: no touch image"."""
+    return tuple(f"{count} left out: {reason}" for reason, count in left_out.most_common() if count)
