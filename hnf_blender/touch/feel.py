@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,21 +12,17 @@ from numpy.typing import NDArray
 from hnf_core.action.action import Action
 from hnf_core.action.contacts import Contacts, find_contacts, require_contact
 from hnf_core.action.patches import action_from_contacts, plan_patches
-from hnf_core.errors import MaterialError
 from hnf_core.field.field import Field
 from hnf_core.field.stroke import StrokeInput
 from hnf_core.field.stroke_profile import stroke_profile
 from hnf_core.field.synthesis import synthesise
 from hnf_core.material.fuse import BANDS, FusedToken, fuse, routes_in_words
-from hnf_core.material.hnf_file import MaterialFile, completed
-from hnf_core.material.library import find, load_library
-from hnf_core.material.material import LibraryMaterial
-from hnf_core.material.prior import rank
 from hnf_core.scene.patch import Patch
 from hnf_core.signal import Signal
 
 from ..bridge.strokes import SceneStroke
-from .bake import TouchedObject, bake_patches, mean_appearance, tactile_map_of, token_of
+from .bake import TouchedObject, bake_patches, tactile_map_of, token_of
+from .choose import Asked, SlotMaterial, chosen_material, decide_material
 from .report import Counts
 from .store import PatchRecord
 
@@ -36,16 +32,6 @@ FACTS = ("object", "material", "library_material", "routes", "height_source")
 """What signal_facts tells, in the order in which every file tells it."""
 MECHANICAL_PROPERTIES = 3
 """Stiffness, damping, friction."""
-
-
-@dataclass(frozen=True)
-class SlotMaterial:
-    """What a material slot is taken to be. shader: the material's own name. reason: why, for the report."""
-
-    shader: str
-    library: LibraryMaterial
-    confidence: float
-    reason: str
 
 
 @dataclass(frozen=True)
@@ -133,65 +119,19 @@ def bake_stroke_steps(
     require_contact(contacts, where=where, surface=stroke.object_name)
     patches, patch_index = plan_patches(contacts)
     slots = dict.fromkeys(patch.slot for patch in patches)
+    asked = Asked(choices, stroke.material, where)
     for slot in slots:
-        chosen_material(stroke, touched, slot, choices)
+        chosen_material(touched, slot, asked)
     records = yield from bake_patches(touched, patches, folder, counts)
     materials = {}
     for slot in slots:
         own = [record for patch, record in zip(patches, records, strict=True) if patch.slot == slot]
-        materials[slot] = decide_material(stroke, touched, slot, choices, own)
+        materials[slot] = decide_material(touched, slot, asked, own)
     fused = tuple(
         fuse(token_of(record), materials[patch.slot].library.token, materials[patch.slot].confidence)
         for patch, record in zip(patches, records, strict=True)
     )
     return BakedStroke(stroke, touched, contacts, patches, patch_index, records, fused, materials)
-
-
-def chosen_material(
-    stroke: SceneStroke, touched: TouchedObject, slot: int, choices: Mapping[int | None, str]
-) -> LibraryMaterial | None:
-    """The artist's own choice, None where there is none: of the command line, then the stroke's, then the material's
-    own, from the library or from the definition that it carries.
-
-    Raises MaterialError that says where the unknown name was given, and what is close to it.
-    """
-    shader = _shader(touched, slot)
-    asked: dict[str, str | MaterialFile] = {
-        "--material": choices.get(slot) or choices.get(None) or "",
-        f"stroke '{stroke.name}'": stroke.material,
-        f"material '{shader}'": touched.chosen[slot] if slot < len(touched.chosen) else "",
-    }
-    for where, word in asked.items():
-        if isinstance(word, MaterialFile):
-            return completed(word)
-        if word:
-            try:
-                return find(word)
-            except MaterialError as error:
-                raise MaterialError(error.what, where=where, remedy=error.remedy) from None
-    return None
-
-
-def decide_material(
-    stroke: SceneStroke,
-    touched: TouchedObject,
-    slot: int,
-    choices: Mapping[int | None, str],
-    records: Sequence[PatchRecord],
-) -> SlotMaterial:
-    """The artist's choice if there is one, else the best-ranked material."""
-    shader = _shader(touched, slot)
-    chosen = chosen_material(stroke, touched, slot, choices)
-    if chosen is not None:
-        return SlotMaterial(shader, chosen, 1.0, "chosen by the artist")
-    names = [shader, touched.surface.object_name, touched.obj.data.name]
-    best = rank(load_library(), mean_appearance(records), names)[0]
-    return SlotMaterial(shader, find(best.name), best.confidence, best.reason)
-
-
-def _shader(touched: TouchedObject, slot: int) -> str:
-    materials = touched.surface.materials
-    return materials[slot] if slot < len(materials) else ""
 
 
 def feel(baked: BakedStroke, field: Field, seed: int, counts: Counts) -> Felt:

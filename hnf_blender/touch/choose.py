@@ -1,0 +1,79 @@
+"""What a material slot is taken to be: the artist's word, else the best-ranked library material."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from hnf_core.errors import MaterialError
+from hnf_core.material.hnf_file import MaterialFile, completed
+from hnf_core.material.library import find, load_library
+from hnf_core.material.material import LibraryMaterial
+from hnf_core.material.prior import Suggestion, rank
+
+from .bake import TouchedObject, mean_appearance
+from .store import PatchRecord
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the artist said beside the materials themselves. choices: slot (None = any) → library material named on the
+    command line. own: that one stroke asks for, "" = nothing. where: what asks, for errors."""
+
+    choices: Mapping[int | None, str] = field(default_factory=dict)
+    own: str = ""
+    where: str = ""
+
+
+@dataclass(frozen=True)
+class SlotMaterial:
+    """What a material slot is taken to be. shader: the material's own name. reason: why, for the report."""
+
+    shader: str
+    library: LibraryMaterial
+    confidence: float
+    reason: str
+
+
+def chosen_material(touched: TouchedObject, slot: int, asked: Asked) -> LibraryMaterial | None:
+    """The artist's own choice, None where there is none: of the command line, then the stroke's, then the material's
+    own, from the library or from the definition that it carries.
+
+    Raises MaterialError that says where the unknown name was given, and what is close to it.
+    """
+    words: dict[str, str | MaterialFile] = {
+        "--material": asked.choices.get(slot) or asked.choices.get(None) or "",
+        asked.where: asked.own,
+        f"material '{shader_name(touched, slot)}'": touched.chosen[slot] if slot < len(touched.chosen) else "",
+    }
+    for where, word in words.items():
+        if isinstance(word, MaterialFile):
+            return completed(word)
+        if word:
+            try:
+                return find(word)
+            except MaterialError as error:
+                raise MaterialError(error.what, where=where, remedy=error.remedy) from None
+    return None
+
+
+def decide_material(touched: TouchedObject, slot: int, asked: Asked, records: Sequence[PatchRecord]) -> SlotMaterial:
+    """The artist's choice if there is one, else the best-ranked material. records: of patches in this slot."""
+    shader = shader_name(touched, slot)
+    chosen = chosen_material(touched, slot, asked)
+    if chosen is not None:
+        return SlotMaterial(shader, chosen, 1.0, "chosen by the artist")
+    best = ranked_materials(touched, slot, records)[0]
+    return SlotMaterial(shader, find(best.name), best.confidence, best.reason)
+
+
+def ranked_materials(touched: TouchedObject, slot: int, records: Sequence[PatchRecord]) -> tuple[Suggestion, ...]:
+    """The whole library for a slot, the most apt first, whatever the artist chose."""
+    names = [shader_name(touched, slot), touched.surface.object_name, touched.obj.data.name]
+    return rank(load_library(), mean_appearance(records), names)
+
+
+def shader_name(touched: TouchedObject, slot: int) -> str:
+    """The Blender material in a slot, "" where there is none."""
+    materials = touched.surface.materials
+    return materials[slot] if slot < len(materials) else ""
