@@ -42,7 +42,8 @@ class StreamReport:
     the moment a block was asked of the source until the sink had it. peak: largest level that left, as a share of full
     scale. limited_samples, nonfinite_samples: changed by the limiter. played_s: by the device. level_m_s2: RMS of the
     last 20 ms or so.
-    temperature_c: of the coil, where it is told. resampler: what converts the rate. problem: why it ended, or "".
+    temperature_c: of the coil, where it is told. resampler: what converts the rate. realtime: the system
+    granted both threads its real-time priority; never to a file. problem: why it ended, or "".
     """
 
     state: str = "ready"
@@ -63,6 +64,7 @@ class StreamReport:
     level_m_s2: float = 0.0
     temperature_c: float | None = None
     resampler: str = ""
+    realtime: bool = False
     problem: str = ""
 
     def to_json(self) -> dict[str, Any]:

@@ -15,13 +15,15 @@ Counts = NDArray[np.int16]
 class SinkFormat:
     """rate_hz: frames a second that the device plays. channels. queue_frames: most frames it owes at any time, that
     is, what still sounds when nothing more comes (at most 15 ms on a live device). device: what it calls itself.
-    coil: something in it warms; a file's does not."""
+    coil: something in it warms; a file's does not. live: it plays by a clock of its own; a file takes what
+    comes."""
 
     rate_hz: float
     channels: int
     queue_frames: int
     device: str
     coil: bool = True
+    live: bool = True
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from types import TracebackType
 import numpy as np
 
 from ..errors import DeviceError, HnfError, UsageError
-from . import calm
+from . import calm, urgency
 from .chain import Chain
 from .limits import COUNTS, Limits
 from .report import Durations, StreamReport
@@ -82,6 +82,7 @@ class Stream:
         self._frames = self._peak = 0
         self._square = 0.0
         self._rate = 1.0
+        self._realtime = False
         self._problem = ""
 
     def __enter__(self) -> Stream:
@@ -165,6 +166,7 @@ class Stream:
                 level_m_s2=float(np.sqrt(self._square)) * self._limits.full_scale_m_s2 / COUNTS,
                 temperature_c=self._status.temperature_c,
                 resampler=self._chain.resampler if self._chain else "",
+                realtime=self._realtime,
                 problem=self._problem,
             )
 
@@ -172,6 +174,8 @@ class Stream:
 
     def _produce(self, chain: Chain, ring: Ring, frames: int) -> None:
         try:
+            if self._realtime and not urgency.ask():
+                self._realtime = False
             try:
                 self._fill(chain, ring, frames)
             except Exception as error:
@@ -201,6 +205,7 @@ class Stream:
         try:
             device = self._sink.open()
             _stop_first_at_exit()
+            self._realtime = device.live and urgency.ask()  # as fast as it can, it would keep a core from all others
             heat = WARMTH.heat(device.device, self._limits, device.channels)
             chain = Chain(self._source, device, self._limits, self._stages, prompt=self._prompt, heat=heat)
             frames = max(round(self._block_s * device.rate_hz), 1)

@@ -108,7 +108,8 @@ def _row(method: str, stream: Stream, wrong: float | None, more: str) -> Row:
     told = "" if wrong is None else f"bytes {'equal' if wrong == 0.0 else 'differ'}, "
     note = (
         f"{report.underruns} underruns, {told}{report.limited_samples} samples limited, source to wire 99 % "
-        f"{report.latency_p99_ms:.1f} ms, {report.played_s:g} s played{more}"
+        f"{report.latency_p99_ms:.1f} ms, {report.played_s:g} s played{more}, "
+        f"{'' if report.realtime else 'no '}real-time priority"
     )
     return Row(
         NAME,

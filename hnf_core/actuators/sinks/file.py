@@ -43,7 +43,7 @@ class FileSink:
             raise self._refused("it is a folder", "Name a .wav file.")
         self._written, self._frames, self._open, self._problem = [], 0, True, ""
         queue = max(1, int(self._rate * QUEUE_S))
-        return SinkFormat(float(self._rate), self._channels, queue, f"file {self._path}", coil=False)
+        return SinkFormat(float(self._rate), self._channels, queue, f"file {self._path}", coil=False, live=False)
 
     def wait(self, timeout_s: float) -> int:
         return max(1, int(self._rate * QUEUE_S))

@@ -27,6 +27,7 @@ from ..protocol.messages import (
     frames_per_message,
 )
 from ..sink import Counts, SinkFormat, SinkStatus
+from ..urgency import ask
 from .serial_port import gone, open_port
 from .serial_session import RESTART, Session
 
@@ -338,6 +339,7 @@ class SerialSink:
 
     def _read(self) -> None:
         """The reader's thread, until close() or the first problem."""
+        ask()
         serial, decoder = self._serial, Decoder(FROM_DEVICE)
         while not self._closing.is_set():
             try:

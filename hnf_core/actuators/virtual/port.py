@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ...errors import DeviceError
+from ..urgency import ask
 from .device import Abilities, VirtualDevice
 from .recording import Recording
 from .transducer import GENERIC_TRANSDUCER, Transducer
@@ -134,6 +135,7 @@ class VirtualPort:
                 os.close(end)
 
     def _run(self) -> None:
+        ask()  # a device's clock waits for no other program
         debt, last = 0.0, time.monotonic()
         while not self._closing.is_set():
             time.sleep(TICK_S)
