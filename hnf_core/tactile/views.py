@@ -69,18 +69,38 @@ def cut_views(
     seen = np.ones(shape, dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
     if depth.shape != shape or seen.shape != shape:
         raise UsageError(f"colour {shape}, depth {depth.shape} and mask {seen.shape} do not fit together.")
+    layers = [np.where(seen, channel, np.nan) for channel in (*np.moveaxis(colour, -1, 0), depth)]
+    return tuple(
+        view
+        for pitch, corners in view_places(seen, metres_per_pixel, resolved_wavelength_m, near)
+        for view in _views(layers, metres_per_pixel, pitch, corners)
+    )
+
+
+def view_places(
+    seen: Mask, metres_per_pixel: float, resolved_wavelength_m: float, near: int
+) -> list[tuple[float, NDArray[np.intp]]]:
+    """Where cut_views looks: (pitch, (n, 2) upper left source pixels), the widest pitch first, at most two pitches.
+
+    Raises UsageError on lengths that are not positive.
+    """
     if not metres_per_pixel > 0 or not resolved_wavelength_m > 0 or near < 0:
         raise UsageError("metres per pixel and the resolved wavelength must be positive, near must not be negative.")
     finest = max(resolved_wavelength_m / 2.0, metres_per_pixel) * (1.0 - SLACK)
     sharp = [pitch for pitch in PITCHES_M if pitch >= finest]
     fitting = [(pitch, corners) for pitch in sharp if len(corners := _corners(seen, pitch / metres_per_pixel))]
-    if not fitting:
-        return ()
-    layers = [np.where(seen, channel, np.nan) for channel in (*np.moveaxis(colour, -1, 0), depth)]
-    out = _views(layers, metres_per_pixel, fitting[0][0], _spread(*fitting[0], metres_per_pixel, shape, 1))
-    if len(fitting) > 1:
-        out += _views(layers, metres_per_pixel, fitting[-1][0], _spread(*fitting[-1], metres_per_pixel, shape, near))
-    return tuple(out)
+    shape = (seen.shape[0], seen.shape[1])
+    return [
+        (pitch, _spread(pitch, corners, metres_per_pixel, shape, count))
+        for (pitch, corners), count in zip((fitting[:1] + fitting[1:][-1:]), (1, near), strict=False)
+    ]
+
+
+def view_pixels(layer: Float, factor: float, corner: NDArray[np.intp]) -> Float:
+    """(64, 64) of the view whose upper left source pixel is corner, from a layer (H, W) that band_limited made for
+    this factor."""
+    rows, columns = (start + (np.arange(VIEW_PIXELS) + 0.5) * factor - 0.5 for start in corner)
+    return _at(layer, rows, columns)
 
 
 def band_limited(values: ArrayLike, factor: float) -> Float:
@@ -176,9 +196,8 @@ def _views(layers: list[Float], metres_per_pixel: float, pitch: float, corners: 
     ]
     out = []
     for corner in corners:
-        rows, columns = (start + (np.arange(VIEW_PIXELS) + 0.5) * factor - 0.5 for start in corner)
-        red, green, blue, depth = (_at(layer, rows, columns) for layer in smooth)
-        known = _at(finite[3].astype(np.float64), rows, columns) > 0.5
+        red, green, blue, depth = (view_pixels(layer, factor, corner) for layer in smooth)
+        known = view_pixels(finite[3].astype(np.float64), factor, corner) > 0.5
         level = np.where(known, depth - depth[known].mean(), 0.0) if known.any() else np.zeros_like(depth)
         rgb = np.clip(np.stack([red, green, blue], axis=-1), 0.0, 1.0).astype(np.float32)
         out.append(LookView(rgb, level.astype(np.float32), bool(known.any()), pitch))
