@@ -77,7 +77,7 @@ def mixed(layers: Layers, passes: Passes, value: Callable[[Closure], Float | Non
     if first is None or second is None:
         return second if first is None else first
     factor = np.clip(layers.factor.read(passes), 0.0, 1.0)
-    if max(first.ndim, second.ndim) > factor.ndim and factor.ndim == 2:
+    if factor.ndim == 2 and max(first.ndim, second.ndim) % 2:  # colours: (3,) or (H, W, 3)
         factor = factor[..., None]
     return np.asarray((1.0 - factor) * first + factor * second)
 

@@ -21,12 +21,14 @@ from hnf_core.scene.view import RgbdView
 from hnf_core.tactile.height import fill_masked, integrate_gradients
 
 from .appearance import Layers, average_appearance, closures, mixed, shading_value
+from .look import Look, look_of
 from .meshes import Surface, ray_caster
 from .render import add_aovs, add_camera, aim, geometry_only, prepare_cycles, render_passes
-from .shader_height import ImageTap, MicroGeometry, Relief, Slopes
+from .shader_height import MicroGeometry, Relief, Slopes
 from .stage import SlotReading, Stage, set_stage, tap_slot
 from .taps import Passes
 from .temporary import Temporary
+from .texels import resolved_wavelength
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -34,7 +36,8 @@ Mask = NDArray[np.bool_]
 FLAT_M = 1e-9
 """A relief lower than this is no micro-geometry: the shader says nothing."""
 APPEARANCE_PIXELS = 128
-"""Side of a close-up where the shader has no relief: mean shading values and covered faces are all there is to see."""
+"""Side of a close-up where the shader has no relief and one colour: mean shading values and covered faces are all there
+is to see."""
 LIFT_M = 1e-4
 """What lies nearer above a patch's centre is the patch itself, within the precision of its place."""
 STEEPEST = 4.0
@@ -51,7 +54,8 @@ class CloseUp:
     appearance: shading values averaged over mask. mask: (H, W) bool, True where the patch's own connected surface in
     its own material slot is seen. resolved_wavelength_m: shortest wavelength that the height resolves (two texels of
     its finest image, two pixels where procedural), inf without height. notes: what the artist should know.
-    faces: evaluated polygons under mask. rays: cast for this close-up. renders: made for it.
+    faces: evaluated polygons under mask. rays: cast for this close-up. renders: made for it. look: the unlit picture
+    where the shader has no micro-geometry and its colour varies, else None.
     """
 
     patch: Patch
@@ -65,6 +69,7 @@ class CloseUp:
     faces: NDArray[np.int32]
     rays: int
     renders: int
+    look: Look | None = None
 
     @property
     def metres_per_pixel(self) -> float:
@@ -90,7 +95,7 @@ def render_closeups(
     """Close-ups of several patches of one object, on one temporary stage: one render a patch.
 
     obj: the touched object. patches: in its surface frame. surface, caster: of obj at frame, made here where not
-    given. pixels: side of the square image, at most APPEARANCE_PIXELS where the shader has no relief.
+    given. pixels: side of the square image, at most APPEARANCE_PIXELS where relief and colour show nothing.
     metres_per_unit: of the user's scene. frame: scene frame, None = now.
     samples: also light the patch with a neutral dome and render the original shader with so many samples (rgb).
     Raises SceneError for a missing texture (naming object, material and image) and where there is no surface. The
@@ -144,7 +149,7 @@ def iter_closeups(
         camera_object = add_camera(temporary)
         temporary.scene.render.use_persistent_data = len(patches) > 1
         for patch in patches:
-            side = pixels if _has_relief(readings[patch.slot]) else min(pixels, APPEARANCE_PIXELS)
+            side = pixels if _has_detail(readings[patch.slot]) else min(pixels, APPEARANCE_PIXELS)
             camera, rays = _unoccluded(patch, side, caster)
             passes: Passes = {}
             if readings[patch.slot].taps:
@@ -155,7 +160,9 @@ def iter_closeups(
             yield _closeup(scene, surface, rays + seen.depth.size)
 
 
-def _has_relief(slot: SlotReading) -> bool:
+def _has_detail(slot: SlotReading) -> bool:
+    if slot.colour is not None:
+        return True
     micros = [each.micro for each in closures(slot.reading.layers)] + [slot.reading.displacement]
     return any(micro.reliefs or micro.slopes for micro in micros)
 
@@ -214,7 +221,17 @@ def _closeup(seen: _Seen, surface: Surface, rays: int) -> CloseUp:
         faces=np.unique(seen.cast.face_id[mask]),
         rays=rays,
         renders=1 if seen.passes else 0,
+        look=_look(seen, albedo, mask, surface),
     )
+
+
+def _look(seen: _Seen, albedo: NDArray[np.float32], mask: Mask, surface: Surface) -> Look | None:
+    if seen.slot.colour is None or not seen.passes:
+        return None
+    return look_of(
+        seen.slot.colour, albedo, seen.cast.depth, mask, passes=seen.passes, pixel_m=seen.pixel_m, mesh=surface.mesh,
+        triangle=seen.cast.triangle,
+    )  # fmt: skip
 
 
 def _own_surface(seen: _Seen, surface: Surface) -> Mask:
@@ -348,25 +365,3 @@ def looks_flipped(gx: Float, gy: Float, mask: Mask) -> bool:
         return False
     right, flipped = np.mean((along_y - along_x) ** 2), np.mean((along_y + along_x) ** 2)
     return bool(flipped < 0.25 * right)
-
-
-def resolved_wavelength(sources: Sequence[Relief | Slopes], passes: Passes, mask: Mask, pixel_m: float) -> float:
-    """Shortest wavelength in metres that the finest source resolves: two texels, never less than two pixels."""
-    if any(source.procedural for source in sources):
-        return 2.0 * pixel_m
-    texels = [texel_size(image, passes, mask, pixel_m) for source in sources for image in source.images]
-    known = [size for size in texels if np.isfinite(size)]
-    return max(2.0 * min(known), 2.0 * pixel_m) if known else float("inf")
-
-
-def texel_size(image: ImageTap, passes: Passes, mask: Mask, pixel_m: float) -> float:
-    """Median size in metres of a texel, along the direction in which it is longest; inf where it cannot be told."""
-    texels = np.asarray(image.texels, dtype=np.float64)
-    place = image.vector.read(passes)[..., : len(texels)] * texels
-    across = (place[1:-1, 2:] - place[1:-1, :-2]) / (2.0 * pixel_m)
-    along = (place[2:, 1:-1] - place[:-2, 1:-1]) / (2.0 * pixel_m)
-    # Singular values of the Jacobian (texels per metre) by its first fundamental form.
-    e, f, g = (np.sum(a * b, axis=-1) for a, b in ((across, across), (across, along), (along, along)))
-    smallest = np.sqrt(np.maximum((e + g - np.sqrt((e - g) ** 2 + 4.0 * f**2)) / 2.0, 0.0))
-    inner = mask[1:-1, 1:-1] & (smallest > 0.0)
-    return float(np.median(1.0 / smallest[inner])) if inner.any() else float("inf")

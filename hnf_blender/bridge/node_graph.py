@@ -9,13 +9,14 @@ GROUP = "ShaderNodeGroup"
 
 
 class NodeGraph:
-    """A material copy whose node groups are made its own, so that every node exists once and may be edited."""
+    """A material copy whose node groups are made its own, so that every node exists once and may be edited; or, with
+    own_groups False, a material as it is, to read: a group used twice is then entered from one of its places."""
 
-    def __init__(self, material: Any) -> None:
+    def __init__(self, material: Any, own_groups: bool = True) -> None:
         self.material = material
         self.tree = material.node_tree
         self._parent: dict[str, Any] = {}
-        self._own_groups(self.tree)
+        self._enter_groups(self.tree, own_groups)
 
     @property
     def output(self) -> Any:
@@ -63,12 +64,13 @@ class NodeGraph:
             if node.bl_idname not in stop:
                 waiting.extend(node.inputs)
 
-    def _own_groups(self, tree: Any) -> None:
+    def _enter_groups(self, tree: Any, own: bool) -> None:
         for node in tree.nodes:
             if node.bl_idname == GROUP and node.node_tree is not None:
-                node.node_tree = node.node_tree.copy()
+                if own:
+                    node.node_tree = node.node_tree.copy()
                 self._parent[node.node_tree.name_full] = node
-                self._own_groups(node.node_tree)
+                self._enter_groups(node.node_tree, own)
 
 
 def _group_output(tree: Any) -> Any:

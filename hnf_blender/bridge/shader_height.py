@@ -6,25 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from .node_graph import NodeGraph
-from .taps import Tap, Tapper, copy_input
+from .taps import Tap, Tapper, constant_value, copy_input
+from .texels import IMAGE, PROCEDURAL, ImageTap, image_tap, made_from
 
-PROCEDURAL = frozenset({
-    "ShaderNodeTexNoise", "ShaderNodeTexVoronoi", "ShaderNodeTexWave", "ShaderNodeTexMagic", "ShaderNodeTexBrick",
-    "ShaderNodeTexChecker", "ShaderNodeTexGradient", "ShaderNodeTexWhiteNoise", "ShaderNodeTexGabor",
-    "ShaderNodeTexMusgrave", "ShaderNodeTexPointDensity", "ShaderNodeTexIES",
-})  # fmt: skip
-IMAGE = "ShaderNodeTexImage"
-COORDINATES = frozenset({"ShaderNodeUVMap", "ShaderNodeTexCoord", "ShaderNodeNewGeometry", "ShaderNodeAttribute"})
-
-
-@dataclass(frozen=True)
-class ImageTap:
-    """An image that shapes the surface. vector: tap of its texture coordinates. texels: for one unit of each
-    coordinate: (x, y), or (x, y, z) where the image is projected from several sides."""
-
-    name: str
-    vector: Tap
-    texels: tuple[float, ...]
+BUMP_FACTORS = ("Distance", "Strength")
 
 
 @dataclass(frozen=True)
@@ -60,20 +45,40 @@ class MicroGeometry:
 
 def from_normal_input(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeometry:
     """Follow a closure's Normal input: bumps chained by their Normal inputs, and what stands at the chain's end."""
-    graph = tapper.graph
-    reliefs: list[Relief] = []
+    bumps, end = normal_chain(tapper.graph, socket)
+    reliefs = tuple(_bump(node, tapper) for node in bumps)
+    if end is None:
+        return MicroGeometry(reliefs)
+    _check_normal_map(end.node, tapper.graph, notes)
+    if end.node.bl_idname == IMAGE:
+        images, procedural = (image_tap(end.node, tapper),), False
+    else:
+        images, procedural = made_from(tapper, end.node.inputs)
+    slopes = Slopes(tapper.output(end, "COLOR"), _label(end.node, "normals"), images, procedural)
+    return MicroGeometry(reliefs, (slopes,))
+
+
+def normal_chain(graph: NodeGraph, socket: Any) -> tuple[list[Any], Any]:
+    """The bumps behind a closure's Normal input, and the socket of the normal at the chain's end, None where that is
+    the smooth surface's own. What is turned off (Strength 0, nothing linked to Height) does not count."""
+    bumps: list[Any] = []
     source = graph.resolve(socket)
     while source.is_output and source.node.bl_idname == "ShaderNodeBump":
-        relief = _bump(source.node, tapper, notes)
-        if relief is not None:
-            reliefs.append(relief)
+        if graph.resolve(source.node.inputs["Height"]).is_output and not _is_off(graph, source.node, *BUMP_FACTORS):
+            bumps.append(source.node)
         source = graph.resolve(source.node.inputs["Normal"])
     if not source.is_output or source.node.mute or _is_plain_normal(source):
-        return MicroGeometry(tuple(reliefs))
-    _check_normal_map(source.node, graph, notes)
-    images, procedural = _made_from(tapper, source.node)
-    slopes = Slopes(tapper.output(source, "COLOR"), _label(source.node, "normals"), images, procedural)
-    return MicroGeometry(tuple(reliefs), (slopes,))
+        return bumps, None
+    off = source.node.bl_idname == "ShaderNodeNormalMap" and _is_off(graph, source.node, "Strength")
+    return bumps, None if off else source
+
+
+def displaces(graph: NodeGraph, socket: Any) -> bool:
+    """Does a Displacement node behind the Material Output's Displacement input raise anything?"""
+    node = graph.source_node(socket)
+    if node is None or node.bl_idname != "ShaderNodeDisplacement":
+        return False
+    return graph.resolve(node.inputs["Height"]).is_output and not _is_off(graph, node, "Scale")
 
 
 def from_displacement(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeometry:
@@ -84,7 +89,7 @@ def from_displacement(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeo
     if node.bl_idname != "ShaderNodeDisplacement":
         notes.append(f"'{node.name}' displaces in all directions: only Displacement nodes are read as height.")
         return MicroGeometry()
-    if not tapper.graph.resolve(node.inputs["Height"]).is_output:
+    if not displaces(tapper.graph, socket):
         return MicroGeometry()
     tree = node.id_data
     raised = tree.nodes.new("ShaderNodeMath")
@@ -92,51 +97,26 @@ def from_displacement(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeo
     copy_input(tree, node.inputs["Height"], raised.inputs[0])
     copy_input(tree, node.inputs["Midlevel"], raised.inputs[1])
     height = tapper.product(tree, raised.outputs[0], node.inputs["Scale"])
-    images, procedural = _made_from(tapper, node, "Height")
+    images, procedural = made_from(tapper, [node.inputs["Height"]])
     source = f"displacement '{node.name}', {_amount(node, 'Scale')}"
     in_object_space = node.space == "OBJECT"
     return MicroGeometry((Relief(tapper.output(height, "VALUE"), in_object_space, source, images, procedural),))
 
 
-def _bump(node: Any, tapper: Tapper, notes: list[str]) -> Relief | None:
+def _bump(node: Any, tapper: Tapper) -> Relief:
     """Height × Distance × Strength of a Bump node (Cycles blends normals by Strength: its slope grows with it)."""
-    if not tapper.graph.resolve(node.inputs["Height"]).is_output:
-        return None
     sign = -1.0 if node.invert else 1.0
-    height = tapper.product(node.id_data, sign, node.inputs["Height"], node.inputs["Distance"], node.inputs["Strength"])
-    images, procedural = _made_from(tapper, node, "Height")
+    factors = (node.inputs[name] for name in BUMP_FACTORS)
+    height = tapper.product(node.id_data, sign, node.inputs["Height"], *factors)
+    images, procedural = made_from(tapper, [node.inputs["Height"]])
     source = f"bump '{node.name}', {_amount(node, 'Distance')}, {_amount(node, 'Strength')}"
     return Relief(tapper.output(height, "VALUE"), False, source, images, procedural)
 
 
-def _made_from(tapper: Tapper, node: Any, *inputs: str) -> tuple[tuple[ImageTap, ...], bool]:
-    """The images that a node's inputs are made from, and whether procedural textures are among their sources.
-
-    What only moves or bends an image's coordinates adds no detail of its own.
-    """
-    stop = PROCEDURAL | {IMAGE}
-    sockets = [node.inputs[name] for name in inputs] if inputs else list(node.inputs)
-    if node.bl_idname == IMAGE:
-        return (_image_tap(node, tapper),), False
-    found = [upstream for socket in sockets for upstream in tapper.graph.upstream(socket, stop)]
-    images = tuple(_image_tap(each, tapper) for each in found if each.bl_idname == IMAGE and each.image is not None)
-    kinds = {each.bl_idname for each in found}
-    return images, bool(kinds & PROCEDURAL) or (not images and bool(kinds & COORDINATES))
-
-
-def _image_tap(node: Any, tapper: Tapper) -> ImageTap:
-    tree, vector = node.id_data, node.inputs["Vector"]
-    if tapper.graph.resolve(vector).is_output:
-        tap = tapper.output(vector.links[0].from_socket, "COLOR")
-    else:
-        active = tree.nodes.new("ShaderNodeUVMap")
-        tree.links.new(active.outputs["UV"], vector)
-        tap = tapper.output(active.outputs["UV"], "COLOR")
-    scale = node.texture_mapping.scale
-    width, height = node.image.size
-    flat = (width * scale[0], height * scale[1])
-    # Box, sphere and tube projections look along all three axes.
-    return ImageTap(node.image.name, tap, flat if node.projection == "FLAT" else (*flat, width * scale[2]))
+def _is_off(graph: NodeGraph, node: Any, *factors: str) -> bool:
+    """Is one of these inputs set to 0, and no texture?"""
+    ends = [graph.resolve(node.inputs[name]) for name in factors]
+    return any(not end.is_output and constant_value(end, "VALUE") == 0.0 for end in ends)
 
 
 def _is_plain_normal(source: Any) -> bool:

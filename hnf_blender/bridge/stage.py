@@ -16,9 +16,11 @@ from .appearance import ShaderReading, plain_shading, read_shader
 from .images import missing_image
 from .meshes import Surface, evaluated_mesh, flush_edits, materials_of, surface_frame, surface_mesh
 from .node_graph import NodeGraph
-from .shader_height import IMAGE, MicroGeometry
+from .shader_colour import ColourSources, colour_sources
+from .shader_height import MicroGeometry
 from .taps import Tap, Tapper
 from .temporary import Temporary
+from .texels import IMAGE
 
 Float = NDArray[np.float64]
 
@@ -112,11 +114,13 @@ def _render_as_shown(actor: Any) -> None:
 
 @dataclass(frozen=True)
 class SlotReading:
-    """One material slot on the stage. material: its name, "" = none. reading: what to make of the passes."""
+    """One material slot on the stage. material: its name, "" = none. reading: what to make of the passes. colour: where
+    its colour comes from, None where it has a relief, or the same colour everywhere."""
 
     material: str
     reading: ShaderReading
     taps: tuple[Tap, ...]
+    colour: ColourSources | None = None
 
 
 def tap_slot(stage: Stage, slot: int, where: str) -> SlotReading:
@@ -134,11 +138,12 @@ def tap_slot(stage: Stage, slot: int, where: str) -> SlotReading:
     _prepare_textures(stage, graph)
     _check_images(graph, f"{where}, material '{original.name}'")
     tapper = Tapper(graph, f"hnf{slot}_")
+    colour = colour_sources(tapper)
     reading = read_shader(tapper)
     _unlit(copy, graph)
     slots[slot].link = "OBJECT"
     slots[slot].material = copy
-    return SlotReading(original.name, reading, tuple(tapper.taps))
+    return SlotReading(original.name, reading, tuple(tapper.taps), colour)
 
 
 def _unlit(copy: Any, graph: NodeGraph) -> None:

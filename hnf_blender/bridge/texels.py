@@ -1,0 +1,96 @@
+"""How fine the images behind a shader's value are: their texels, measured on the patch where they lie."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .taps import Passes, Tap, Tapper
+
+Mask = NDArray[np.bool_]
+
+PROCEDURAL = frozenset({
+    "ShaderNodeTexNoise", "ShaderNodeTexVoronoi", "ShaderNodeTexWave", "ShaderNodeTexMagic", "ShaderNodeTexBrick",
+    "ShaderNodeTexChecker", "ShaderNodeTexGradient", "ShaderNodeTexWhiteNoise", "ShaderNodeTexGabor",
+    "ShaderNodeTexMusgrave", "ShaderNodeTexPointDensity", "ShaderNodeTexIES",
+})  # fmt: skip
+IMAGE = "ShaderNodeTexImage"
+COORDINATES = frozenset({"ShaderNodeUVMap", "ShaderNodeTexCoord", "ShaderNodeNewGeometry", "ShaderNodeAttribute"})
+
+
+@dataclass(frozen=True)
+class ImageTap:
+    """An image behind a value. vector: tap of its texture coordinates. texels: for one unit of each coordinate: (x, y),
+    or (x, y, z) where the image is projected from several sides."""
+
+    name: str
+    vector: Tap
+    texels: tuple[float, ...]
+
+
+class Detailed(Protocol):
+    """Something made from images, or in part from what has no texels."""
+
+    @property
+    def images(self) -> tuple[ImageTap, ...]: ...
+    @property
+    def procedural(self) -> bool: ...
+
+
+def made_from(tapper: Tapper, sockets: Iterable[Any]) -> tuple[tuple[ImageTap, ...], bool]:
+    """The images that input sockets are made from, and whether procedural textures are among their sources.
+
+    What only moves or bends an image's coordinates adds no detail of its own.
+    """
+    stop = PROCEDURAL | {IMAGE}
+    nodes = {
+        (node.id_data.name_full, node.name): node for socket in sockets for node in tapper.graph.upstream(socket, stop)
+    }
+    images = tuple(
+        image_tap(node, tapper) for node in nodes.values() if node.bl_idname == IMAGE and node.image is not None
+    )
+    kinds = {node.bl_idname for node in nodes.values()}
+    return images, bool(kinds & PROCEDURAL) or (not images and bool(kinds & COORDINATES))
+
+
+def image_tap(node: Any, tapper: Tapper) -> ImageTap:
+    """An Image Texture node, with a tap of the coordinates it is read at."""
+    tree, vector = node.id_data, node.inputs["Vector"]
+    if tapper.graph.resolve(vector).is_output:
+        tap = tapper.output(vector.links[0].from_socket, "COLOR")
+    else:
+        active = tree.nodes.new("ShaderNodeUVMap")
+        tree.links.new(active.outputs["UV"], vector)
+        tap = tapper.output(active.outputs["UV"], "COLOR")
+    scale = node.texture_mapping.scale
+    width, height = node.image.size
+    flat = (width * scale[0], height * scale[1])
+    # Box, sphere and tube projections look along all three axes.
+    return ImageTap(node.image.name, tap, flat if node.projection == "FLAT" else (*flat, width * scale[2]))
+
+
+def resolved_wavelength(sources: Iterable[Detailed], passes: Passes, mask: Mask, pixel_m: float) -> float:
+    """Shortest wavelength in metres that the finest source resolves: two texels, never less than two pixels."""
+    sources = tuple(sources)
+    if any(source.procedural for source in sources):
+        return 2.0 * pixel_m
+    texels = [texel_size(image, passes, mask, pixel_m) for source in sources for image in source.images]
+    known = [size for size in texels if np.isfinite(size)]
+    return max(2.0 * min(known), 2.0 * pixel_m) if known else float("inf")
+
+
+def texel_size(image: ImageTap, passes: Passes, mask: Mask, pixel_m: float) -> float:
+    """Median size in metres of a texel, along the direction in which it is longest; inf where it cannot be told."""
+    texels = np.asarray(image.texels, dtype=np.float64)
+    place = image.vector.read(passes)[..., : len(texels)] * texels
+    across = (place[1:-1, 2:] - place[1:-1, :-2]) / (2.0 * pixel_m)
+    along = (place[2:, 1:-1] - place[:-2, 1:-1]) / (2.0 * pixel_m)
+    # Singular values of the Jacobian (texels per metre) by its first fundamental form.
+    e, f, g = (np.sum(a * b, axis=-1) for a, b in ((across, across), (across, along), (along, along)))
+    smallest = np.sqrt(np.maximum((e + g - np.sqrt((e - g) ** 2 + 4.0 * f**2)) / 2.0, 0.0))
+    inner = mask[1:-1, 1:-1] & (smallest > 0.0)
+    return float(np.median(1.0 / smallest[inner])) if inner.any() else float("inf")
