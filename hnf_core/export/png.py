@@ -1,4 +1,4 @@
-"""Grey PNG images, without a library of images (W3C, "Portable Network Graphics", 3rd edition)."""
+"""Grey and colour PNG images, without a library of images (W3C, "Portable Network Graphics", 3rd edition)."""
 
 from __future__ import annotations
 
@@ -11,9 +11,18 @@ from numpy.typing import NDArray
 
 def grey_png(pixels: NDArray[np.uint8]) -> bytes:
     """The file of (H, W) uint8 values, row by row from the top; equal pixels give equal bytes with one zlib."""
-    height, width = pixels.shape
+    return _png(pixels, 0)
+
+
+def colour_png(pixels: NDArray[np.uint8]) -> bytes:
+    """The file of (H, W, 3) uint8 sRGB values; else as grey_png."""
+    return _png(pixels, 2)
+
+
+def _png(pixels: NDArray[np.uint8], colour_type: int) -> bytes:
+    height, width = pixels.shape[:2]
     rows = b"".join(b"\0" + row.tobytes() for row in np.ascontiguousarray(pixels))  # filter 0: as they are
-    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    head = struct.pack(">IIBBBBB", width, height, 8, colour_type, 0, 0, 0)
     chunks = [(b"IHDR", head), (b"IDAT", zlib.compress(rows, 9)), (b"IEND", b"")]
     return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(tag, body) for tag, body in chunks)
 

@@ -1,0 +1,115 @@
+"""Tactile pairs written in shards: in parallel, from a seed, taken up again where a run was stopped."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+from ..errors import FileError, UsageError
+from ..files import content_hash
+from .pair_tiles import PairSizes, TileOrder, make_tile, orders
+from .tactile_pairs import HELD_OUT_CLASSES, HELD_OUT_INSTANCES, TRAIN, joined, load_shard, save_shard, shard_path
+
+TILES_PER_SHARD = 50
+RECIPE = 1
+"""Counts changes of what a tile's order makes; shards of another recipe are made again."""
+WRITE_ORDER = (HELD_OUT_INSTANCES, HELD_OUT_CLASSES, TRAIN)
+"""What trainings check themselves against comes first: it is small."""
+
+
+@dataclass(frozen=True)
+class Shard:
+    """One file's work. shards: how many its split has."""
+
+    path: Path
+    orders: tuple[TileOrder, ...]
+    shards: int
+    key: str
+
+
+def recipe_key(split: str, sizes: PairSizes, seed: int, tiles_per_shard: int = TILES_PER_SHARD) -> str:
+    """Equal for shards that belong together."""
+    return content_hash(repr((RECIPE, split, sizes, seed, tiles_per_shard)))
+
+
+def shards_of(
+    folder: Path, split: str, sizes: PairSizes, seed: int, tiles_per_shard: int = TILES_PER_SHARD
+) -> tuple[Shard, ...]:
+    """The shards of a split, in order."""
+    wanted = orders(split, sizes, seed)
+    starts = range(0, len(wanted), tiles_per_shard)
+    key = recipe_key(split, sizes, seed, tiles_per_shard)
+    return tuple(
+        Shard(shard_path(folder, split, index), wanted[start : start + tiles_per_shard], len(starts), key)
+        for index, start in enumerate(starts)
+    )
+
+
+def is_made(shard: Shard) -> bool:
+    """Whether the file is there, whole, and of this recipe."""
+    if not shard.path.is_file():
+        return False
+    try:
+        pairs, shards, key = load_shard(shard.path)
+    except FileError:
+        return False
+    return (pairs.tiles, shards, key) == (len(shard.orders), shard.shards, shard.key)
+
+
+def make_shard(shard: Shard) -> Path:
+    """Make the tiles and write the file atomically. The same shard gives the same bytes."""
+    for left in shard.path.parent.glob(f".{shard.path.stem}-*"):
+        left.unlink(missing_ok=True)  # of a run that was killed while it wrote
+    save_shard(shard.path, joined([make_tile(order) for order in shard.orders]), shards=shard.shards, key=shard.key)
+    return shard.path
+
+
+def make_pairs(
+    folder: Path,
+    sizes: PairSizes,
+    seed: int,
+    workers: int = 1,
+    told: Callable[[int, int], None] = lambda done, total: None,
+    tiles_per_shard: int = TILES_PER_SHARD,
+) -> int:
+    """Write whatever of the three splits is not there yet; returns how many shards were written.
+
+    Bytes do not depend on workers, nor on how often the run was stopped. told(done, total): after every shard.
+    Raises UsageError where a split's folder holds shards beyond those of this recipe, FileError where the disk refuses.
+    """
+    everything = [shard for split in WRITE_ORDER for shard in shards_of(folder, split, sizes, seed, tiles_per_shard)]
+    _refuse_strangers(everything)
+    missing = [shard for shard in everything if not is_made(shard)]
+    done = len(everything) - len(missing)
+    told(done, len(everything))
+    for _ in _made(missing, workers):
+        done += 1
+        told(done, len(everything))
+    return len(missing)
+
+
+def _made(shards: Sequence[Shard], workers: int) -> Iterator[Path]:
+    if workers <= 1:
+        yield from map(make_shard, shards)
+        return
+    # One thread each: BLAS threads of several processes only get in each other's way.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        for future in as_completed([pool.submit(make_shard, shard) for shard in shards]):
+            yield future.result()
+
+
+def _refuse_strangers(shards: Sequence[Shard]) -> None:
+    expected = {shard.path for shard in shards}
+    for folder in sorted({shard.path.parent for shard in shards}):
+        strangers = sorted(set(folder.glob("[0-9]*.safetensors")) - expected)
+        if strangers:
+            raise UsageError(
+                f"{len(strangers)} shards of another recipe ({strangers[0].name}).",
+                where=str(folder),
+                remedy="Empty the folder, or choose another one.",
+            )

@@ -1,0 +1,280 @@
+"""One tile, photographed and touched: a piece of a material under one light → its four paired views.
+
+Everything random comes from two seeds: the piece's (colour, gloss, how it lies) and the tile's (heights, light,
+camera, object shape, where the views are cut), so that two patches of one piece are two photographs of one thing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..material.encoder import describe
+from ..material.mechanics import Mechanics
+from ..simulation.classes import ROWS, category_of, classes, instance, seed_of
+from ..simulation.look.albedo import albedo, cavity
+from ..simulation.look.light import drawn_light, lit, sky_hidden
+from ..simulation.look.macro_depth import between, centred_grid, drawn_shape, macro_depth
+from ..simulation.look.piece import Piece, piece_of
+from ..simulation.recipes import random_recipe
+from ..simulation.surface import TILE_PIXELS, TILE_SIZE_M, SurfaceRecipe, height_map, wavenumbers
+from ..tactile.optics import SENSORS, Sensor, limit_slope, shade
+from ..tactile.spectral import frequencies, gaussian_mtf
+from ..tactile.tactile_map import Route, TactileMap
+from ..tactile.views import PASS, PITCHES_M, VIEW_PIXELS
+from .tactile_pairs import HELD_OUT_INSTANCES, PAIR_SENSORS, TRAIN, UNSEEN_CLASSES, Pairs, encoded_rgb
+
+Float = NDArray[np.float64]
+Single = NDArray[np.float32]
+Complex = NDArray[np.complex128]
+
+PITCH_M = TILE_SIZE_M / TILE_PIXELS
+FACTORS = tuple(round(pitch / PITCH_M) for pitch in PITCHES_M)
+RANDOM_EVERY = 5
+"""Every fifth training tile is a random or fused surface with random looks."""
+FIRST_SEED = {TRAIN: 1_000_000, HELD_OUT_INSTANCES: 2_000_000}
+LAST_FIRST_SEED = 3_000_000
+"""Instance seeds of the splits lie apart, and beyond those that fields are trained and judged on."""
+PATCHES = 2
+"""Tiles of each held-out instance; the second is the floor of the first."""
+LEVEL_DECADES = (-1.1, 0.3)
+FUSION_BORDER_M = (0.2e-3, 6e-3)
+"""Random surfaces: scaled, and every second one fused of two, as training.surfaces does."""
+BLUR_PIXELS = (0.0, 0.6)
+NOISE = (0.0, 0.012)
+"""Of the camera, per view: standard deviations in view pixels, and of linear colour at white."""
+EXPOSURE, BALANCE = 0.25, 0.06
+"""Of a photograph under light: natural logarithms, half-widths."""
+
+
+@dataclass(frozen=True)
+class PairSizes:
+    """train: tiles. instances: of each known class held out. unseen_instances: of each unseen class."""
+
+    train: int = 5000
+    instances: int = 5
+    unseen_instances: int = 12
+
+
+@dataclass(frozen=True)
+class TileOrder:
+    """Which tile to make. class_name: "" for a random surface, instance_seed −1 then."""
+
+    class_name: str
+    instance_seed: int
+    tile_seed: int
+    patch: int = 0
+
+
+def orders(split: str, sizes: PairSizes, seed: int) -> tuple[TileOrder, ...]:
+    """All tiles of a split. No instance is in two splits, no class of held-out-classes in another."""
+    known = tuple(name for name in classes() if name not in UNSEEN_CLASSES)
+    if split != TRAIN:
+        names, count = (
+            (known, sizes.instances) if split == HELD_OUT_INSTANCES else (UNSEEN_CLASSES, sizes.unseen_instances)
+        )
+        first = FIRST_SEED.get(split, LAST_FIRST_SEED)
+        return tuple(
+            _order(name, first + number, seed, patch)
+            for number in range(count)
+            for name in names
+            for patch in range(PATCHES)
+        )
+    made: list[TileOrder] = []
+    for index in range(sizes.train):
+        number, rest = divmod(index, RANDOM_EVERY)
+        if rest == RANDOM_EVERY - 1:
+            made.append(TileOrder("", -1, seed_of(f"{seed}/random/{number}")))
+        else:
+            place = number * (RANDOM_EVERY - 1) + rest
+            made.append(_order(known[place % len(known)], FIRST_SEED[TRAIN] + place // len(known), seed, 0))
+    return tuple(made)
+
+
+def _order(name: str, instance_seed: int, seed: int, patch: int) -> TileOrder:
+    return TileOrder(name, instance_seed, seed_of(f"{seed}/{name}/{instance_seed}") + patch, patch)
+
+
+def make_tile(order: TileOrder) -> Pairs:
+    """The four views of one tile. The same order gives the same bytes on the same numpy."""
+    recipe, mechanics, piece, turn = _thing(order)
+    rng = np.random.default_rng([1, order.tile_seed])
+    height = _random_height(order, recipe) if not order.class_name else height_map(recipe, order.tile_seed)
+    spectrum = np.fft.rfft2(height)
+    colour = turned(albedo(recipe, spectrum, piece, TILE_SIZE_M, rng), turn)
+    height = turned(height, turn)
+    spectrum = np.fft.rfft2(height)
+
+    light, shape = drawn_light(rng), drawn_shape(rng)
+    # Light meets the surface itself; only touch meets the gel.
+    bare = surface_slopes(spectrum, TILE_PIXELS, PITCH_M, 0.0)
+    bent = shape.slopes(*centred_grid(TILE_PIXELS, TILE_SIZE_M))
+    seen = lit(
+        colour,
+        bare[0] + bent[0],
+        bare[1] + bent[1],
+        light,
+        roughness=piece.roughness,
+        metallic=piece.metallic,
+        occlusion=sky_hidden(cavity(spectrum, TILE_PIXELS, TILE_SIZE_M, piece.reach_m), piece.reach_m),
+    )
+    if not light.unlit:
+        seen = seen * np.exp(rng.uniform(-EXPOSURE, EXPOSURE) + rng.uniform(-BALANCE, BALANCE, 3)).astype(np.float32)
+    membranes = [membrane(spectrum, TILE_PIXELS, PITCH_M, SENSORS[name]) for name in PAIR_SENSORS]
+    periodic = np.stack([height, *(slope for pair in membranes for slope in pair)]).astype(np.float32)
+    photograph = np.ascontiguousarray(np.moveaxis(np.clip(seen, 0.0, 1.0), -1, 0))
+    coarse = decimation(FACTORS[0], True) @ periodic[0] @ decimation(FACTORS[0], True).T
+    depth = macro_depth(coarse.astype(np.float64), shape, TILE_SIZE_M, rng)
+    views = [_view(periodic, photograph, depth, factor, rng) for factor in FACTORS]
+    return Pairs(
+        rgb=np.stack([view.rgb for view in views]),
+        depth=np.stack([view.depth for view in views]),
+        height=np.stack([view.height for view in views]),
+        slopes=np.stack([view.slopes for view in views]),
+        pitch_index=np.arange(len(FACTORS)),
+        tile_index=np.zeros(len(FACTORS), dtype=np.int64),
+        class_name=(order.class_name,),
+        instance_seed=np.array([order.instance_seed]),
+        tile_seed=np.array([order.tile_seed]),
+        patch=np.array([order.patch]),
+        token=token_of(*membranes[0], SENSORS[PAIR_SENSORS[0]])[None],
+        mechanics=_row(mechanics)[None],
+        turn=np.array([turn]),
+        unlit=np.array([light.unlit]),
+    )
+
+
+def _thing(order: TileOrder) -> tuple[SurfaceRecipe, Mechanics | None, Piece, int]:
+    """What does not change between photographs of one piece."""
+    if order.class_name:
+        rng = np.random.default_rng([2, seed_of(order.class_name), order.instance_seed])
+        recipe, mechanics = instance(order.class_name, order.instance_seed)
+        appearance, category = ROWS[order.class_name].appearance, category_of(order.class_name)
+        return recipe, mechanics, piece_of(appearance, category, rng), int(rng.integers(8))
+    rng = np.random.default_rng([3, order.tile_seed])
+    return random_recipe(rng), None, piece_of(None, "", rng), int(rng.integers(8))
+
+
+def _random_height(order: TileOrder, recipe: SurfaceRecipe) -> Single:
+    rng = np.random.default_rng([4, order.tile_seed])
+    height = height_map(recipe, order.tile_seed) * np.float32(10.0 ** rng.uniform(*LEVEL_DECADES))
+    if rng.random() < 0.5:
+        return height
+    other = height_map(random_recipe(rng), int(rng.integers(2**31))) * np.float32(10.0 ** rng.uniform(*LEVEL_DECADES))
+    return fuse(height, other, 1.0 / float(np.exp(rng.uniform(*np.log(FUSION_BORDER_M)))))
+
+
+def fuse(low: Single, high: Single, border_per_m: float) -> Single:
+    """Waves longer than 1 / border from one tile, shorter ones from another."""
+    kx, ky = wavenumbers(low.shape[0], TILE_SIZE_M)
+    keep = np.hypot(kx, ky) < border_per_m
+    spectrum = np.where(keep, np.fft.rfft2(low), np.fft.rfft2(high))
+    return np.fft.irfft2(spectrum, low.shape).astype(np.float32)
+
+
+def turned(tile: Single, turn: int) -> Single:
+    """(H, W, …) mirrored left to right where turn ≥ 4, then turn % 4 quarter turns counter-clockwise as seen."""
+    mirrored = tile[:, ::-1] if turn >= 4 else tile
+    return np.ascontiguousarray(np.rot90(mirrored, turn % 4))
+
+
+def surface_slopes(spectrum: Complex, pixels: int, metres_per_pixel: float, sigma_m: float) -> tuple[Float, Float]:
+    """∂h/∂x, ∂h/∂y (H, W) of a tile that repeats, under a Gaussian blur; spectrum: rfft2 of its height.
+
+    optics.gel_gradients without its padding: a tile has no edge."""
+    fx, fy = frequencies((pixels, pixels), metres_per_pixel)
+    mtf = gaussian_mtf(np.hypot(fx, fy), sigma_m)
+    # The derivative of a real signal has no Nyquist term on an even grid.
+    keep_x, keep_y = (np.abs(f) * metres_per_pixel < 0.5 - 1e-9 for f in (fx, fy))
+    blurred = 2j * np.pi * mtf * spectrum
+    return (
+        np.asarray(np.fft.irfft2(blurred * (fx * keep_x), s=(pixels, pixels))),
+        np.asarray(np.fft.irfft2(blurred * (fy * keep_y), s=(pixels, pixels))),
+    )
+
+
+def membrane(spectrum: Complex, pixels: int, metres_per_pixel: float, sensor: Sensor) -> tuple[Float, Float]:
+    """∂h/∂x, ∂h/∂y (H, W) of the sensor's membrane on a tile that repeats."""
+    gx, gy = surface_slopes(spectrum, pixels, metres_per_pixel, sensor.gel_sigma_m)
+    if max(float(np.abs(gx).max()), float(np.abs(gy).max())) < 0.7 * sensor.max_slope:
+        return gx, gy
+    return limit_slope(gx, gy, sensor.max_slope)
+
+
+def token_of(gx: Float, gy: Float, sensor: Sensor) -> Single:
+    """(TOKEN_DIM,) what the band descriptor says of the whole tile, from its membrane's slopes."""
+    seen = np.ones(gx.shape, dtype=bool)
+    return describe(
+        TactileMap(shade(gx, gy, sensor), None, seen, PITCH_M, sensor.name, 2 * PITCH_M, Route.MEASURED)
+    ).values
+
+
+@lru_cache(maxsize=16)
+def decimation(factor: int, periodic: bool) -> Single:
+    """(512/factor, 512) matrix D: D X Dᵀ is tactile.views.decimated_tile of X where the tile repeats; else X is
+    continued by reflection at its edges (what is lit on a bent object does not repeat)."""
+    size = TILE_PIXELS if periodic else 2 * TILE_PIXELS
+    frequency = np.fft.rfftfreq(size)
+    place = np.clip((2.0 * factor * frequency - PASS) / (1.0 - PASS), 0.0, 1.0)
+    shift = np.exp(2j * np.pi * frequency * (factor - 1) / 2.0)
+    response = (0.5 + 0.5 * np.cos(np.pi * place)) * shift if factor > 1 else np.ones_like(frequency)
+    full = np.fft.irfft(np.fft.rfft(np.eye(size), axis=0) * response[:, None], size, axis=0)
+    if not periodic:
+        full = full[:, :TILE_PIXELS] + full[:, : TILE_PIXELS - 1 : -1]
+    kept = np.ascontiguousarray(full[:TILE_PIXELS:factor], dtype=np.float32)
+    kept.flags.writeable = False
+    return kept
+
+
+@dataclass(frozen=True)
+class _View:
+    rgb: NDArray[np.uint8]
+    depth: NDArray[np.float16]
+    height: NDArray[np.float16]
+    slopes: NDArray[np.float16]
+
+
+def _view(periodic: Single, photograph: Single, depth: Float, factor: int, rng: np.random.Generator) -> _View:
+    """One view at a random place (the widest is the whole tile), in units of its own pitch."""
+    row, column = (int(start) for start in rng.integers(0, TILE_PIXELS // factor - VIEW_PIXELS + 1, 2))
+    rows, columns = slice(row, row + VIEW_PIXELS), slice(column, column + VIEW_PIXELS)
+    pitch = factor * PITCH_M
+    height, *slopes = _cut(periodic, factor, rows, columns, True)
+    red_green_blue = _cut(photograph, factor, rows, columns, False)
+    centres = (np.arange(VIEW_PIXELS) + 0.5) * factor / FACTORS[0] - 0.5
+    first = factor / FACTORS[0]
+    near = between(depth, centres + row * first, centres + column * first) / pitch
+    level = height / np.float32(pitch)
+    return _View(
+        rgb=encoded_rgb(_photographed(red_green_blue, rng)),
+        depth=(near - near.mean()).astype(np.float16),
+        height=(level - level.mean()).astype(np.float16),
+        slopes=np.reshape(slopes, (len(PAIR_SENSORS), 2, VIEW_PIXELS, VIEW_PIXELS)).astype(np.float16),
+    )
+
+
+def _cut(layers: Single, factor: int, rows: slice, columns: slice, periodic: bool) -> Single:
+    if factor == 1:
+        return layers[:, rows, columns]
+    matrix = decimation(factor, periodic)
+    return np.asarray(matrix[rows] @ layers @ matrix[columns].T)
+
+
+def _photographed(layers: Single, rng: np.random.Generator) -> Single:
+    """(3, 64, 64) light → (64, 64, 3) picture: a little blur, and noise that grows with light as photons' does."""
+    sigma, noise = rng.uniform(*BLUR_PIXELS), rng.uniform(*NOISE)
+    place = np.arange(VIEW_PIXELS)
+    kernel = np.exp(-0.5 * np.square((place[:, None] - place[None, :]) / max(sigma, 0.05)))
+    blur = (kernel / kernel.sum(axis=1, keepdims=True)).astype(np.float32)
+    seen = np.clip(blur @ layers @ blur.T, 0.0, 1.0)
+    grain = rng.standard_normal(seen.shape, dtype=np.float32) * np.sqrt(0.1 + 0.9 * seen)
+    return np.moveaxis(seen + np.float32(noise) * grain, 0, -1)
+
+
+def _row(mechanics: Mechanics | None) -> Single:
+    given = mechanics or Mechanics()
+    values = (given.stiffness_n_m, given.damping_ratio, given.friction)
+    return np.array([np.nan if value is None else value for value in values], dtype=np.float32)

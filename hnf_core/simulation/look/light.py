@@ -1,0 +1,112 @@
+"""Light on a height tile: one lamp, the sky, gloss; nothing but the slopes says how strongly a relief is shaded.
+
+Lambert's cosine law and a microfacet lobe (B. Walter et al. 2007, "Microfacet models for refraction through rough
+surfaces", EGSR: GGX), seen from straight above. A flat, matt surface comes out as its base colour.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Single = NDArray[np.float32]
+
+OCCLUSION = 2.0
+"""Sky lost per unit of cavity depth over the reach it is measured against."""
+DIELECTRIC = 0.04
+LOBE_LIMIT = 1.5
+"""A highlight saturates the film; brighter than this it only costs exposure."""
+METAL_SHARE = 0.7
+"""Of a metal's light that comes from the surroundings rather than the lamp: no metal here is a mirror."""
+
+
+@dataclass(frozen=True)
+class Light:
+    """azimuth_rad: where the lamp stands, 0 = +x, π/2 = +y (up). elevation_rad: above the surface. ambient: the sky's
+    share of the light on a flat surface, 0–1. unlit: no light at all, the bare base colour (a texture).
+    surroundings: how much brighter the side towards surroundings_rad is than the middle, for metals.
+    """
+
+    azimuth_rad: float
+    elevation_rad: float
+    ambient: float
+    unlit: bool = False
+    surroundings: float = 0.5
+    surroundings_rad: float = 0.0
+
+
+UNLIT_SHARE = 0.3
+ELEVATION_DEG = (15.0, 75.0)
+
+
+def drawn_light(rng: np.random.Generator) -> Light:
+    """Any light: 30 % of it none at all, as in a base-colour texture."""
+    return Light(
+        azimuth_rad=float(rng.uniform(0.0, 2.0 * np.pi)),
+        elevation_rad=float(np.radians(rng.uniform(*ELEVATION_DEG))),
+        ambient=float(rng.uniform(0.05, 0.6)),
+        unlit=bool(rng.random() < UNLIT_SHARE),
+        surroundings=float(rng.uniform(0.0, 0.8)),
+        surroundings_rad=float(rng.uniform(0.0, 2.0 * np.pi)),
+    )
+
+
+def lit(
+    albedo: ArrayLike,
+    gx: ArrayLike,
+    gy: ArrayLike,
+    light: Light,
+    *,
+    roughness: float = 1.0,
+    metallic: float = 0.0,
+    occlusion: ArrayLike = 0.0,
+) -> Single:
+    """(H, W, 3) linear light that leaves the surface upwards, not cut at 1.
+
+    albedo: (H, W, 3). gx, gy: (H, W) slopes ∂h/∂x, ∂h/∂y (y up). occlusion: (H, W) or one share of the sky that is
+    hidden. Small slopes change the picture linearly: −g under a lamp is +g under the lamp opposite.
+    """
+    colour = np.asarray(albedo, dtype=np.float32)
+    if light.unlit:
+        return colour
+    slope_x, slope_y = np.asarray(gx, dtype=np.float32), np.asarray(gy, dtype=np.float32)
+    lamp = _direction(light.azimuth_rad, light.elevation_rad)
+    half = lamp + np.array([0.0, 0.0, 1.0])
+    half = half / np.linalg.norm(half)
+    up = 1.0 / np.sqrt(1.0 + np.square(slope_x) + np.square(slope_y))
+    cosine = np.maximum(_along(slope_x, slope_y, up, lamp), 0.0) / np.float32(lamp[2])
+    sky = (0.5 + 0.5 * up) * (1.0 - np.asarray(occlusion, dtype=np.float32))
+    matt = (1.0 - light.ambient) * cosine + light.ambient * sky
+    alpha2 = max(roughness**2, 0.05) ** 2
+    facing = np.maximum(_along(slope_x, slope_y, up, half), 0.0)
+    lobe = alpha2 / (np.pi * np.square(np.square(facing) * (alpha2 - 1.0) + 1.0))
+    # V of the microfacet model is close to 1/4 for a viewer straight above.
+    gloss = (1.0 - light.ambient) * np.minimum(lobe / 4.0 * cosine, LOBE_LIMIT)
+    if metallic <= 0.0:
+        return np.asarray(colour * matt[..., None] + DIELECTRIC * gloss[..., None], dtype=np.float32)
+    side = _direction(light.surroundings_rad, 0.0)
+    # A mirror turns the view by twice the slope.
+    seen = 1.0 - 2.0 * light.surroundings * up * (slope_x * side[0] + slope_y * side[1])
+    mirror = METAL_SHARE * np.maximum(seen, 0.0) + (1.0 - METAL_SHARE) * matt + gloss
+    shade = (1.0 - metallic) * matt + metallic * mirror
+    return np.asarray(
+        colour * shade[..., None] + np.float32((1.0 - metallic) * DIELECTRIC) * gloss[..., None], dtype=np.float32
+    )
+
+
+def sky_hidden(cavity_m: ArrayLike, reach_m: float) -> Single:
+    """(H, W) share of the sky that a place does not see, from its depth below its surroundings (albedo.cavity)."""
+    deep = np.maximum(np.asarray(cavity_m, dtype=np.float32), 0.0) / np.float32(reach_m)
+    return np.minimum(np.float32(OCCLUSION) * deep, np.float32(0.8))
+
+
+def _direction(azimuth_rad: float, elevation_rad: float) -> NDArray[np.float64]:
+    flat = np.cos(elevation_rad)
+    return np.array([np.cos(azimuth_rad) * flat, np.sin(azimuth_rad) * flat, np.sin(elevation_rad)])
+
+
+def _along(gx: Single, gy: Single, up: Single, direction: NDArray[np.float64]) -> Single:
+    x, y, z = (np.float32(value) for value in direction)
+    return np.asarray(up * (z - x * gx - y * gy))

@@ -1,0 +1,49 @@
+"""Make paired views to learn touch from sight: look and macro depth → height and membrane (hnf_core.datasets).
+
+Usage: python tools/make_tactile_pairs.py [--out DIR] [--seed N] [--workers N] [--tiles N] [--sheet FILE] [--only-sheet]
+Shards that are there already are kept: a stopped run goes on where it was. Afterwards a contact sheet is drawn.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+from hnf_core.datasets.pair_shards import make_pairs  # noqa: E402
+from hnf_core.datasets.pair_tiles import PairSizes  # noqa: E402
+from hnf_core.export.contact_sheet import contact_sheet  # noqa: E402
+from hnf_core.export.png import colour_png  # noqa: E402
+from hnf_core.files import write_bytes  # noqa: E402
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--out", type=Path, default=ROOT / "build" / "tactile-pairs", help="folder of the shards")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--tiles", type=int, default=PairSizes().train, help="training tiles, four views each")
+    parser.add_argument("--sheet", type=Path, help="picture to draw; default: contact-sheet.png in the folder")
+    parser.add_argument("--only-sheet", action="store_true", help="draw the contact sheet, write no shards")
+    arguments = parser.parse_args()
+    if not arguments.only_sheet:
+        began = time.monotonic()
+
+        def told(done: int, total: int) -> None:
+            print(f"{time.monotonic() - began:6.0f} s  {done}/{total} shards", file=sys.stderr, flush=True)
+
+        make_pairs(arguments.out, PairSizes(train=arguments.tiles), arguments.seed, arguments.workers, told)
+    sheet = arguments.sheet or arguments.out / "contact-sheet.png"
+    write_bytes(sheet, colour_png(contact_sheet(arguments.seed)))
+    print(sheet)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
