@@ -18,13 +18,16 @@ DRAWN_DECADES = 2.5
 """A band 50 dB below the strongest holds what filters and windows leak, nothing that anyone drew."""
 NOTHING_LEVEL = SMOOTH_LEVEL + 0.3
 """2 nm RMS: the floor of the descriptor."""
+CERTAINTY = {Route.MEASURED: 1.0, Route.PREDICTED: 0.5}
+"""What a band that a map told is worth. What was estimated from a picture is never worth what was read off a relief,
+and one picture fits many reliefs; docs/see.md has the errors."""
 
 
 @dataclass(frozen=True)
 class FusedToken:
     """values: (TOKEN_DIM,) float32, complete. routes: where each of the seven bands comes from, longest first.
-    shape_route: the same of skewness and kurtosis. confidence: 0–1, the mean over bands of 1 where the map told and
-    of the prior's own confidence where it did not."""
+    shape_route: the same of skewness and kurtosis. confidence: 0–1, the mean over bands of the route's CERTAINTY where
+    a map told and of the prior's own confidence where it did not."""
 
     values: NDArray[np.float32]
     routes: tuple[Route, ...]
@@ -32,34 +35,40 @@ class FusedToken:
     confidence: float
 
 
-def fuse(
-    measured: Token | None, prior: ArrayLike, prior_confidence: float, route: Route = Route.MEASURED
-) -> FusedToken:
-    """Bands drawn in measured stay as they are, the others come from the prior (TOKEN_DIM,), a library token.
+def fuse(told: Token | None, prior: ArrayLike, prior_confidence: float, route: Route = Route.MEASURED) -> FusedToken:
+    """Bands that a map tells stay as they are, the others come from the prior (TOKEN_DIM,), a library token.
 
-    measured: None where the shader has no micro-geometry at all; then everything is prior, and so is a band that
-    the map resolves and holds nothing in (see drawn_bands). route: how measured came to be known.
-    prior_confidence: 0–1. Raises MaterialError on a prior of the wrong size or with values that are not finite.
+    told: of the patch's tactile map; None where there is none, then everything is prior. route: how that map came to be
+    known. Of a measured one the bands that are drawn in it count (see drawn_bands); of a predicted one all that it
+    knows: it stands for a whole surface, and an empty band in it says "smooth". prior_confidence: 0–1. Raises
+    MaterialError on a prior of the wrong size or with values that are not finite.
     """
     library = np.asarray(prior, dtype=np.float32)
     if library.shape != (TOKEN_DIM,) or not np.isfinite(library).all():
         raise MaterialError(f"a library token must hold {TOKEN_DIM} finite values, not {library.shape}.")
-    told = [False] * BANDS if measured is None else drawn_bands(measured)
-    shape_told = measured is not None and bool(measured.known[-len(SHAPE_FEATURES) :].all()) and any(told)
+    bands = [False] * BANDS
+    if told is not None:
+        bands = drawn_bands(told) if route is Route.MEASURED else known_bands_of(told)
+    shape_told = told is not None and bool(told.known[-len(SHAPE_FEATURES) :].all()) and any(bands)
     values = library.copy()
-    if measured is not None:
+    if told is not None:
         for band in range(BANDS):
-            if told[band]:
-                values[band_slice(band)] = measured.values[band_slice(band)]
+            if bands[band]:
+                values[band_slice(band)] = told.values[band_slice(band)]
         if shape_told:
-            values[-len(SHAPE_FEATURES) :] = measured.values[-len(SHAPE_FEATURES) :]
-    certainty = float(np.clip(prior_confidence, 0.0, 1.0))
+            values[-len(SHAPE_FEATURES) :] = told.values[-len(SHAPE_FEATURES) :]
+    guess = float(np.clip(prior_confidence, 0.0, 1.0))
     return FusedToken(
         values=values,
-        routes=tuple(route if is_told else Route.PRIOR for is_told in told),
+        routes=tuple(route if is_told else Route.PRIOR for is_told in bands),
         shape_route=route if shape_told else Route.PRIOR,
-        confidence=(sum(told) + (BANDS - sum(told)) * certainty) / BANDS,
+        confidence=(sum(bands) * CERTAINTY.get(route, guess) + (BANDS - sum(bands)) * guess) / BANDS,
     )
+
+
+def known_bands_of(token: Token) -> list[bool]:
+    """Which bands a token knows altogether."""
+    return [bool(token.known[band_slice(band)].all()) for band in range(BANDS)]
 
 
 def drawn_bands(measured: Token) -> list[bool]:
@@ -70,7 +79,7 @@ def drawn_bands(measured: Token) -> list[bool]:
     all bands, and is kept whole.
     """
     levels = np.array([measured.values[band_slice(band).start] for band in range(BANDS)], dtype=np.float64)
-    known = np.array([bool(measured.known[band_slice(band)].all()) for band in range(BANDS)])
+    known = np.array(known_bands_of(measured))
     if not known.any():
         return [False] * BANDS
     least = max(float(levels[known].max()) - DRAWN_DECADES, NOTHING_LEVEL)

@@ -15,7 +15,7 @@ TEXEL = 0.1e-3
 
 
 def photo_plane(pixels, texel=TEXEL, name="Photo"):
-    """A plane of count · texel metres with pixels (count, count, 3), bottom row first, as its base colour; no relief."""
+    """A plane of count · texel metres, its base colour pixels (count, count, 3), bottom row first; no relief."""
     half = len(pixels) * texel / 2
     plane = add_mesh(
         name,

@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as hnp
 
 from hnf_core.errors import MaterialError
 from hnf_core.material.encoder import smooth_token_values
-from hnf_core.material.fuse import BANDS, drawn_bands, fuse, routes_by_band, routes_in_words
+from hnf_core.material.fuse import BANDS, CERTAINTY, drawn_bands, fuse, routes_by_band, routes_in_words
 from hnf_core.material.token import TOKEN_DIM, Token, band_slice
 from hnf_core.tactile.tactile_map import Route
 
@@ -63,6 +63,25 @@ def test_a_band_without_relief_leaves_the_materials_own_roughness(prior):
     flat = fuse(measured_token(smooth_token_values(), [True] * BANDS, True), prior, 0.1)
     assert set(flat.routes) == {Route.PRIOR}
     assert flat.shape_route is Route.PRIOR
+
+
+def test_what_a_picture_shows_to_be_smooth_stays_smooth():
+    """A predicted map stands for the whole surface: nothing in it is not nothing known."""
+    prior = np.full(TOKEN_DIM, -5.0, dtype=np.float32)
+    flat = measured_token(smooth_token_values(), [True] * 4 + [False] * 3, True)
+    fused = fuse(flat, prior, 0.1, route=Route.PREDICTED)
+    assert fused.routes == (Route.PREDICTED,) * 4 + (Route.PRIOR,) * 3
+    assert fused.shape_route is Route.PREDICTED
+    assert np.array_equal(fused.values[band_slice(3)], smooth_token_values()[band_slice(3)])
+    assert np.array_equal(fused.values[band_slice(4)], prior[band_slice(4)])
+
+
+def test_a_predicted_band_is_worth_less_than_a_measured_one():
+    rough = np.full(TOKEN_DIM, -5.0, dtype=np.float32)
+    token = measured_token(rough, [True] * BANDS, True)
+    by_route = {route: fuse(token, rough, 0.9, route=route).confidence for route in (Route.MEASURED, Route.PREDICTED)}
+    assert by_route[Route.MEASURED] == 1.0
+    assert by_route[Route.PREDICTED] == pytest.approx(CERTAINTY[Route.PREDICTED])
 
 
 def test_natural_roughness_is_kept_whole():
