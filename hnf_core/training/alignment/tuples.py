@@ -1,0 +1,123 @@
+"""Vision–touch tuples of two sensors that never touched the same place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...datasets.tactile_pairs import PAIR_SENSORS, Pairs, encoded_rgb
+from ...datasets.vision_touch import VisionTouchPair
+from ...errors import UsageError
+from ...tactile.views import VIEW_PIXELS
+from .pictures import PairPictures, Pictures, RecordedPictures
+
+Rows = NDArray[np.int64]
+NO_LABEL = -1
+
+
+@dataclass(frozen=True)
+class Tuples:
+    """n tuples over one store of pictures.
+
+    row: (n,) of the pictures. sensor: (n,) in PAIR_SENSORS. label: (n,) in classes, NO_LABEL where it has none.
+    group: (n,) what looks alike and must not be cut apart or counted as independent: a piece of material, a place.
+    """
+
+    pictures: Pictures
+    row: Rows
+    sensor: Rows
+    label: Rows
+    group: Rows
+    classes: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    def take(self, chosen: NDArray[np.generic]) -> Tuples:
+        """Those rows, or those where a mask is true."""
+        return replace(
+            self, row=self.row[chosen], sensor=self.sensor[chosen], label=self.label[chosen], group=self.group[chosen]
+        )
+
+    def of_sensor(self, name: str) -> Tuples:
+        """Raises UsageError where it has none of that sensor."""
+        found = self.take(self.sensor == PAIR_SENSORS.index(name))
+        if not len(found):
+            raise UsageError(f"there is no {name} picture in these data.", remedy="Choose the other sensor.")
+        return found
+
+
+def dealt(pairs: Pairs, classes: Sequence[str]) -> Tuples:
+    """Tuples to learn from: the tiles of each class go to the sensors by turns, so that a place is touched by one
+    sensor only and DIGIT patches are of other places of the same materials. Tiles of no class have no label."""
+    turn: dict[str, int] = {}
+    make = np.empty(pairs.tiles, dtype=np.int64)
+    for tile, name in enumerate(pairs.class_name):
+        make[tile] = turn.get(name, 0) % len(PAIR_SENSORS)
+        turn[name] = turn.get(name, 0) + 1
+    return _of_pairs(pairs, np.arange(len(pairs)), make[pairs.tile_index], classes)
+
+
+def under(pairs: Pairs, sensor: str, classes: Sequence[str]) -> Tuples:
+    """Tuples to be tested with: every view of a tile with a class in `classes`, under one sensor."""
+    known = np.array([name in classes for name in pairs.class_name])
+    rows = np.flatnonzero(known[pairs.tile_index])
+    return _of_pairs(pairs, rows, np.full(len(rows), PAIR_SENSORS.index(sensor)), classes)
+
+
+def _of_pairs(pairs: Pairs, rows: Rows, sensor: Rows, classes: Sequence[str]) -> Tuples:
+    index = {name: number for number, name in enumerate(classes)}
+    label = np.array([index.get(name, NO_LABEL) for name in pairs.class_name], dtype=np.int64)
+    pieces = {piece: number for number, piece in enumerate(dict.fromkeys(_pieces(pairs)))}
+    group = np.array([pieces[piece] for piece in _pieces(pairs)], dtype=np.int64)
+    tile = pairs.tile_index[rows]
+    return Tuples(PairPictures(pairs), rows, sensor, label[tile], group[tile], tuple(classes))
+
+
+def _pieces(pairs: Pairs) -> list[tuple[str, int, int]]:
+    """Class, instance, and the tile's own seed where it is of no instance."""
+    return [
+        (name, int(instance), int(seed) if instance < 0 else -1)
+        for name, instance, seed in zip(pairs.class_name, pairs.instance_seed, pairs.tile_seed, strict=True)
+    ]
+
+
+def recorded(pairs: Sequence[VisionTouchPair], classes: Sequence[str], pixels: int = VIEW_PIXELS) -> Tuples:
+    """Tuples of recordings: centred squares brought to `pixels`, the background taken off each touch, or its own mean
+    where the untouched sensor was not recorded. Raises UsageError where there is none."""
+    if not pairs:
+        raise UsageError("there are no vision–touch pairs here.")
+    index = {name: number for number, name in enumerate(classes)}
+    places = {place: number for number, place in enumerate(dict.fromkeys(pair.where for pair in pairs))}
+    looks = np.stack([encoded_rgb(squared(pair.rgb, pixels)) for pair in pairs])
+    touches = np.stack([squared(_pressed(pair), pixels) for pair in pairs]).astype(np.float16)
+    return Tuples(
+        RecordedPictures(looks, touches),
+        np.arange(len(pairs)),
+        np.array([PAIR_SENSORS.index(pair.sensor) for pair in pairs], dtype=np.int64),
+        np.array([index.get(pair.label or "", NO_LABEL) for pair in pairs], dtype=np.int64),
+        np.array([places[pair.where] for pair in pairs], dtype=np.int64),
+        tuple(classes),
+    )
+
+
+def _pressed(pair: VisionTouchPair) -> NDArray[np.float32]:
+    untouched = pair.touch.mean(axis=(0, 1)) if pair.background is None else pair.background
+    return np.asarray(pair.touch - untouched, dtype=np.float32)
+
+
+def squared(picture: NDArray[np.float32], pixels: int) -> NDArray[np.float32]:
+    """(pixels, pixels, 3): the centred square of a picture (H, W, 3), smoothed as far as it is made smaller."""
+    import torch
+    from torch.nn import functional
+
+    side = min(picture.shape[:2])
+    top, left = (picture.shape[0] - side) // 2, (picture.shape[1] - side) // 2
+    square = torch.from_numpy(np.ascontiguousarray(picture[top : top + side, left : left + side]))
+    small = functional.interpolate(
+        square.permute(2, 0, 1)[None], (pixels, pixels), mode="bilinear", antialias=True, align_corners=False
+    )
+    return np.asarray(small[0].permute(1, 2, 0).numpy())
