@@ -122,7 +122,7 @@ def make_tile(order: TileOrder) -> Pairs:
         occlusion=sky_hidden(cavity(spectrum, TILE_PIXELS, TILE_SIZE_M, piece.reach_m), piece.reach_m),
     )
     if not light.unlit:
-        seen = seen * np.exp(rng.uniform(-EXPOSURE, EXPOSURE) + rng.uniform(-BALANCE, BALANCE, 3)).astype(np.float32)
+        seen = seen * _exposure(seen, rng)
     membranes = [membrane(spectrum, TILE_PIXELS, PITCH_M, SENSORS[name]) for name in PAIR_SENSORS]
     periodic = np.stack([height, *(slope for pair in membranes for slope in pair)]).astype(np.float32)
     photograph = np.ascontiguousarray(np.moveaxis(np.clip(seen, 0.0, 1.0), -1, 0))
@@ -145,6 +145,14 @@ def make_tile(order: TileOrder) -> Pairs:
         turn=np.array([turn]),
         unlit=np.array([light.unlit]),
     )
+
+
+def _exposure(seen: Single, rng: np.random.Generator) -> Single:
+    """(3,) factors of exposure and white balance; no photographer lets the bulk of a picture burn out."""
+    factors = np.exp(rng.uniform(-EXPOSURE, EXPOSURE) + rng.uniform(-BALANCE, BALANCE, 3))
+    sample = seen[::8, ::8]
+    bright = float(np.max((sample.mean(axis=(0, 1)) + 2.0 * sample.std(axis=(0, 1))) * factors))
+    return np.asarray(factors * min(1.0, 0.95 / max(bright, 1e-6)), dtype=np.float32)
 
 
 def _thing(order: TileOrder) -> tuple[SurfaceRecipe, Mechanics | None, Piece, int]:
@@ -185,15 +193,20 @@ def surface_slopes(spectrum: Complex, pixels: int, metres_per_pixel: float, sigm
     """∂h/∂x, ∂h/∂y (H, W) of a tile that repeats, under a Gaussian blur; spectrum: rfft2 of its height.
 
     optics.gel_gradients without its padding: a tile has no edge."""
+    across, up = _derivatives(pixels, metres_per_pixel, sigma_m)
+    return (
+        np.asarray(np.fft.irfft2(spectrum * across, s=(pixels, pixels))),
+        np.asarray(np.fft.irfft2(spectrum * up, s=(pixels, pixels))),
+    )
+
+
+@lru_cache(maxsize=8)
+def _derivatives(pixels: int, metres_per_pixel: float, sigma_m: float) -> tuple[Complex, Complex]:
     fx, fy = frequencies((pixels, pixels), metres_per_pixel)
-    mtf = gaussian_mtf(np.hypot(fx, fy), sigma_m)
+    blurred = 2j * np.pi * gaussian_mtf(np.hypot(fx, fy), sigma_m)
     # The derivative of a real signal has no Nyquist term on an even grid.
     keep_x, keep_y = (np.abs(f) * metres_per_pixel < 0.5 - 1e-9 for f in (fx, fy))
-    blurred = 2j * np.pi * mtf * spectrum
-    return (
-        np.asarray(np.fft.irfft2(blurred * (fx * keep_x), s=(pixels, pixels))),
-        np.asarray(np.fft.irfft2(blurred * (fy * keep_y), s=(pixels, pixels))),
-    )
+    return np.asarray(blurred * (fx * keep_x)), np.asarray(blurred * (fy * keep_y))
 
 
 def membrane(spectrum: Complex, pixels: int, metres_per_pixel: float, sensor: Sensor) -> tuple[Float, Float]:

@@ -59,8 +59,8 @@ def _grey(values: NDArray[np.float16] | NDArray[np.float64]) -> Picture:
     return _bytes(np.repeat((0.5 + 0.5 * level / (SPAN * spread))[..., None], 3, axis=2))
 
 
-def _bytes(values: NDArray[np.floating]) -> Picture:  # type: ignore[type-arg]
-    return np.rint(255.0 * np.clip(values, 0.0, 1.0)).astype(np.uint8)
+def _bytes(values: NDArray[np.float64]) -> Picture:
+    return np.asarray(np.rint(255.0 * np.clip(values, 0.0, 1.0)), dtype=np.uint8)
 
 
 def _stacked(pictures: list[Picture], axis: int) -> Picture:

@@ -60,7 +60,7 @@ class Habit:
     """What pieces of a category do. dyed: share of any colour at all. The rest: ranges of strengths; printed: share."""
 
     dyed: float
-    dirt: Range = (0.0, 0.6)
+    dirt: Range = (0.0, 0.9)
     wear: Range = (0.0, 0.25)
     yarns: Range = (0.0, 0.0)
     streak: Range = (0.0, 0.15)
@@ -71,20 +71,20 @@ class Habit:
 HABITS: Mapping[str, Habit] = MappingProxyType(
     {
         "wood": Habit(0.15, streak=(0.05, 0.45)),
-        "metal": Habit(0.05, dirt=(0.0, 0.8), streak=(0.0, 0.12), printed=0.1),
+        "metal": Habit(0.05, streak=(0.0, 0.12), printed=0.1),
         "stone": Habit(0.1, streak=(0.0, 0.2), speckle=(0.04, 0.5), printed=0.05),
-        "fabric": Habit(0.7, dirt=(0.0, 0.4), yarns=(0.0, 0.7), speckle=(0.0, 0.2), printed=0.35),
+        "fabric": Habit(0.7, dirt=(0.0, 0.7), yarns=(0.0, 0.7), speckle=(0.0, 0.2), printed=0.35),
         "paper": Habit(0.4, speckle=(0.0, 0.15), printed=0.5),
         "plastic": Habit(0.7, yarns=(0.0, 0.25), printed=0.25),
         "foam": Habit(0.6),
         "carpet": Habit(0.7, yarns=(0.0, 0.6), speckle=(0.0, 0.4), printed=0.3),
         "tile": Habit(0.5, speckle=(0.0, 0.25), printed=0.25),
-        "leather": Habit(0.5, dirt=(0.1, 0.8)),
+        "leather": Habit(0.5, dirt=(0.1, 1.0)),
         "rubber": Habit(0.3),
-        "glass": Habit(0.2, dirt=(0.0, 0.3)),
+        "glass": Habit(0.2, dirt=(0.0, 0.5)),
     }
 )
-ANY_HABIT = Habit(0.9, (0.0, 0.8), (0.0, 0.3), (0.0, 0.7), (0.0, 0.45), (0.0, 0.5), 0.3)
+ANY_HABIT = Habit(0.9, (0.0, 1.0), (0.0, 0.3), (0.0, 0.7), (0.0, 0.45), (0.0, 0.5), 0.3)
 """Of a surface that belongs to no category."""
 
 
@@ -105,7 +105,7 @@ def piece_of(appearance: Appearance | None, category: str, rng: np.random.Genera
         metallic=float(metallic),
         dirt=Mark(-_drawn(habit.dirt, rng), _tint(rng, 0.15)),
         wear=Mark(_drawn(habit.wear, rng), _tint(rng, 0.1)),
-        depth_m=_log_uniform(rng, 0.5e-6, 15e-6),
+        depth_m=_log_uniform(rng, 0.2e-6, 6e-6),
         reach_m=_log_uniform(rng, 0.15e-3, 0.7e-3),
         yarns=Mark(_drawn(habit.yarns, rng) * _sign(rng), _tint(rng, 0.5)),
         streak=Mark(_drawn(habit.streak, rng) * _sign(rng), _tint(rng, 0.2)),
