@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 from ..errors import FileError
 
 DEEPEST = 8
 MOST_FILES = 500_000
+LONGEST_NAME = 200
 
 
 def files_below(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
@@ -40,3 +42,18 @@ def opening(path: Path, size: int = 4096) -> bytes:
             return stream.read(size)
     except OSError:
         return b""
+
+
+def is_plain(name: str) -> bool:
+    """Whether a name written in a file is one file's or folder's own: on no system does it lead anywhere else."""
+    fits = len(name) <= LONGEST_NAME and re.fullmatch(r"\w[\w .,+()&'-]*", name) is not None
+    return fits and not name.endswith((" ", "."))
+
+
+def file_names(folder: Path) -> frozenset[str]:
+    """Names of the files that lie directly in a folder; empty where there is no such folder."""
+    try:
+        with os.scandir(folder) as entries:
+            return frozenset(entry.name for entry in entries if not entry.name.startswith(".") and entry.is_file())
+    except OSError:
+        return frozenset()

@@ -6,6 +6,7 @@ Pillow decodes; it comes with matplotlib, and is asked for only when a picture i
 from __future__ import annotations
 
 from pathlib import Path
+from tokenize import TokenError
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -64,7 +65,9 @@ def read_array(path: Path) -> NDArray[np.generic]:
         if mapped.nbytes > LARGEST_BYTES:
             raise ValueError(f"{mapped.nbytes / 2**20:.0f} MB are too much")
         return np.array(mapped)
-    except (OSError, ValueError, TypeError, EOFError, OverflowError, MemoryError, SyntaxError) as error:
+    # numpy reads the header as Python's own literals, and lets its parser's errors through.
+    except (OSError, ValueError, TypeError, EOFError, ArithmeticError, LookupError, MemoryError, RecursionError,
+            SyntaxError, TokenError) as error:  # fmt: skip
         raise FileError(f"is no array of numbers ({error}).", where=str(path), remedy=_AGAIN) from error
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Literal, Protocol, overload
 
 import numpy as np
@@ -15,6 +17,7 @@ from ..errors import FileError, UsageError
 
 Picture = NDArray[np.float32]
 SensorName = Literal["gelsight", "digit"]
+SHARES: Mapping[str, float] = MappingProxyType({"train": 0.8, "val": 0.1, "test": 0.1})
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +115,43 @@ class FilePairs(Sequence[VisionTouchPair]):
     @property
     def places(self) -> tuple[str, ...]:
         return tuple(entry.where for entry in self.entries)
+
+
+def split_by_place(pairs: FilePairs, seed: int, shares: Mapping[str, float] = SHARES) -> dict[str, FilePairs]:
+    """Whole places (recordings, scenes, textures) dealt to named splits, so that no place is in two of them.
+
+    Places come in an order drawn from their names and the seed; each goes to the split that lacks most of its share of
+    the pairs. Where there are few places, a small split may stay empty. Raises UsageError for shares that are not
+    positive.
+    """
+    if not shares or min(shares.values()) <= 0.0:
+        raise UsageError(f"shares {dict(shares)} are not all above 0.", remedy="Leave out a split that is not wanted.")
+    size = Counter(pairs.places)
+    whole = sum(shares.values())
+    missing = {name: share / whole * len(pairs) for name, share in shares.items()}
+    home = {}
+    for place in sorted(size, key=lambda place: hashlib.sha256(f"{seed}\0{place}".encode()).digest()):
+        home[place] = max(missing, key=lambda name: missing[name])
+        missing[home[place]] -= size[place]
+    return {
+        name: FilePairs(tuple(entry for entry in pairs.entries if home[entry.where] == name), pairs.read, pairs.notes)
+        for name in shares
+    }
+
+
+def named_split(pairs: FilePairs, name: str, seed: int, where: str) -> FilePairs:
+    """One split of split_by_place with SHARES. Raises UsageError for a name that is none, FileError where there are too
+    few places for it. where: the folder, for the message."""
+    if name not in SHARES:
+        raise UsageError(f"{name!r} is no split.", remedy=f"There are {', '.join(SHARES)}.")
+    part = split_by_place(pairs, seed)[name]
+    if not part:
+        raise FileError(
+            f"{len(set(pairs.places))} places are too few for a split {name!r}.",
+            where=where,
+            remedy="Get more of them, or split them yourself with split_by_place.",
+        )
+    return part
 
 
 def readable(pairs: VisionTouchPairs, skipped: list[FileError]) -> Iterator[VisionTouchPair]:

@@ -1,0 +1,189 @@
+"""Touch and Go: a walk through buildings and parks with a camera and a GelSight, 20 classes of material.
+
+F. Yang, C. Ma, J. Zhang, J. Zhu, W. Yuan & A. Owens (2022), "Touch and Go: learning from human-collected vision and
+touch", NeurIPS Datasets and Benchmarks.
+dataset/<YYYYMMDD_HHMMSS>/{video_frame,gelsight_frame}/<ten digits>.jpg, one number = one moment; label.txt with lines
+20220601_182052/0000033833.jpg,3; category_reference.txt with lines name:3. The published train and test lists draw
+single frames, so that one press is in both; here a recording is in one split only.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+
+from ..errors import FileError
+from .folders import file_names, is_plain
+from .photographs import PICTURES, middle_square, read_picture, resized
+from .vision_touch import FilePairs, PairFiles, VisionTouchPair, counted, named_split
+
+CLASSES = 20
+UNDECIDED = -1
+"""The label of frames whose material the annotators could not tell."""
+SIDE = 256
+LABELS = "label.txt"
+CATEGORIES = ("category_reference.txt", "category.txt", "categories.txt")
+LARGEST_TEXT_BYTES = 256 * 2**20
+VIEW, TOUCH = "video_frame", "gelsight_frame"
+_LINE = re.compile(r"([^/\\,]+)[/\\]([^/\\,]+)\.(?:jpe?g|png)\s*,\s*(-?\d{1,9})", re.IGNORECASE)
+_CATEGORY = re.compile(r"\s*(\S.*?)\s*:\s*(\d{1,9})\b.*")
+
+
+@dataclass(frozen=True)
+class TouchAndGoFolder:
+    """folder: the one with label.txt and dataset, or dataset itself (then there are no labels). side: pixels of every
+    picture, a centred square."""
+
+    folder: Path
+    side: int = SIDE
+
+    @cached_property
+    def recordings(self) -> tuple[str, ...]:
+        """Sorted names of those with extracted frames. Raises FileError where there are none."""
+        names, videos = [], 0
+        for place in sorted(self._root.iterdir()) if self._root.is_dir() else []:
+            if (place / VIEW).is_dir() or (place / TOUCH).is_dir():
+                names.append(place.name)
+            elif any((place / video).is_file() for video in ("video.mp4", "gelsight.mp4")):
+                videos += 1
+        if not names:
+            raise FileError(
+                f"{videos} recordings have videos, none has frames." if videos else "no recordings are in it.",
+                where=str(self.folder),
+                remedy=f"Extract {VIEW} and {TOUCH} with the data set's own script."
+                if videos
+                else f"Give the folder with dataset/<recording>/{VIEW} and {TOUCH}.",
+            )
+        return tuple(names)
+
+    @cached_property
+    def pairs(self) -> FilePairs:
+        """Every moment with both frames, ordered by recording and moment; only labelled ones where there is label.txt.
+
+        Notes count what was left out. Raises FileError where there is nothing, or label.txt is another kind of file.
+        """
+        left_out: Counter[str] = Counter()
+        labels = self._labels(left_out)
+        names = self._class_names()
+        labelled: dict[str, list[str]] = {}
+        for recording, stem in labels or ():
+            labelled.setdefault(recording, []).append(stem)
+        entries = []
+        for recording in self.recordings:
+            views, touches = (_by_stem(self._root / recording / kind) for kind in (VIEW, TOUCH))
+            for stem in sorted(labelled.pop(recording, ()) if labels is not None else {*views, *touches}):
+                if stem not in views or stem not in touches:
+                    left_out[f"no {VIEW}" if stem not in views else f"no {TOUCH}"] += 1
+                    continue
+                number = UNDECIDED if labels is None else labels[recording, stem]
+                label = None if number == UNDECIDED else names.get(number, f"class {number}")
+                entries.append(PairFiles(views[stem], touches[stem], recording, label))
+        left_out["their recording is not there"] += sum(map(len, labelled.values()))
+        if not entries:
+            raise FileError(
+                f"no moment has both frames ({'; '.join(counted(left_out))}).",
+                where=str(self.folder),
+                remedy=f"Check {VIEW} and {TOUCH}, or get them again.",
+            )
+        unlabelled = sum(entry.label is None for entry in entries)
+        notes = (
+            "pictures are taken as sRGB; the view's scale is unknown; no background was recorded",
+            *((f"no {LABELS}: no pair has a label",) if labels is None else ()),
+            *((f"{unlabelled} are labelled as undecided",) if labels is not None and unlabelled else ()),
+            *counted(left_out),
+        )
+        return FilePairs(tuple(entries), partial(read_pair, side=self.side), notes)
+
+    def split(self, name: str, seed: int = 0) -> FilePairs:
+        """train, val or test by recording (vision_touch.named_split). Raises FileError as pairs does, too."""
+        return named_split(self.pairs, name, seed, str(self.folder))
+
+    @property
+    def _root(self) -> Path:
+        return self.folder / "dataset" if (self.folder / "dataset").is_dir() else self.folder
+
+    def _labels(self, left_out: Counter[str]) -> dict[tuple[str, str], int] | None:
+        path = self.folder / LABELS
+        return read_labels(path, left_out) if path.is_file() else None
+
+    def _class_names(self) -> dict[int, str]:
+        path = next((self.folder / name for name in CATEGORIES if (self.folder / name).is_file()), None)
+        if path is None:
+            return {}
+        found = (match for line in _lines(path) if (match := _CATEGORY.fullmatch(line)))
+        return {int(match[2]): match[1] for match in found}
+
+
+def read_labels(path: Path, left_out: Counter[str]) -> dict[tuple[str, str], int]:
+    """(recording, moment) → class 0 to 19 or UNDECIDED. What cannot be used is counted in left_out, by reason.
+
+    Raises FileError where the file cannot be read, a line leads out of the folder, or most lines are no labels.
+    """
+    labels: dict[tuple[str, str], int] = {}
+    twofold: set[tuple[str, str]] = set()
+    read = wrong = 0
+    for number, line in enumerate(map(str.strip, _lines(path)), 1):
+        if not line:
+            continue
+        read += 1
+        match = _LINE.fullmatch(line)
+        if match is None or not is_plain(match[1]) or not is_plain(match[2]):
+            if line.startswith(("/", "\\")) or ".." in re.split(r"[/\\]", line):
+                raise FileError(
+                    f"line {number} leads out of the folder.", where=str(path), remedy="Get the file again."
+                )
+            wrong += 1
+            continue
+        key, label = (match[1], match[2]), int(match[3])
+        if not UNDECIDED <= label < CLASSES:
+            left_out[f"a class beyond 0 to {CLASSES - 1}"] += 1
+        elif key in twofold or labels.get(key, label) != label:
+            left_out["labelled as two classes"] += 1 + (key not in twofold)
+            twofold.add(key)
+            labels.pop(key, None)
+        elif key in labels:
+            left_out["named twice"] += 1
+        else:
+            labels[key] = label
+    if 2 * wrong >= read:
+        raise FileError(
+            f"{wrong} of its {read} lines are no labels.",
+            where=str(path),
+            remedy="Expected lines such as 20220601_182052/0000033833.jpg,3.",
+        )
+    left_out[f"lines of {path.name} that are no label"] += wrong
+    return labels
+
+
+def read_pair(files: PairFiles, side: int) -> VisionTouchPair:
+    """One pair at side × side pixels. Raises FileError where a file is damaged."""
+    return VisionTouchPair(
+        rgb=resized(middle_square(read_picture(files.rgb)), side),
+        depth_m=None,
+        touch=resized(middle_square(read_picture(files.touch)), side),
+        background=None,
+        sensor="gelsight",
+        label=files.label,
+        where=files.where,
+        metres_per_pixel=None,
+    )
+
+
+def _by_stem(folder: Path) -> dict[str, Path]:
+    """Pictures by name without ending; of two kinds of one name the .jpg counts, as in the published lists."""
+    names = sorted(
+        file_names(folder), key=lambda name: (not name.lower().endswith((".jpg", ".jpeg")), name), reverse=True
+    )
+    return {Path(name).stem: folder / name for name in names if Path(name).suffix.lower() in PICTURES}
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        if path.stat().st_size > LARGEST_TEXT_BYTES:
+            raise ValueError("it is too large")
+        return path.read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError) as error:
+        raise FileError(f"cannot be read as text ({error}).", where=str(path), remedy="Get it again.") from error
