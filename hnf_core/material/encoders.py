@@ -1,0 +1,67 @@
+"""The makes of E: each turns tactile maps into tokens of one layout (token.py), and each has a name that bakes keep."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import UsageError
+from ..files import content_hash
+from ..tactile.tactile_map import Route, TactileMap
+from .alexnet.reading import describe_by_alexnet
+from .alexnet.weights import ALEXNET_ID, load_encoder
+from .encoder import describe
+from .merge import merge
+from .token import ENCODER_ID, Token
+
+ENCODER_NAMES = (ENCODER_ID, ALEXNET_ID)
+"""The makes that come with the project, by name."""
+DEFAULT_NAMES = {Route.MEASURED: ENCODER_ID, Route.PREDICTED: ENCODER_ID}
+"""Which make describes maps of which route; docs/encoder.md has the figures that decided it."""
+
+
+@dataclass(frozen=True)
+class Encoder:
+    """name: of the make; fields name the makes whose tokens they were trained on. content_id: changes with anything
+    that changes a token, for keys of what is kept. describe: one tactile map → its token."""
+
+    name: str
+    content_id: str
+    describe: Callable[[TactileMap], Token]
+
+
+def encoder_by_name(name: str) -> Encoder:
+    """The encoder of that name, or the one in the file of that name (.safetensors, see `hnf train encoder`).
+
+    Raises UsageError for an unknown name, FileError and WeightsError where a file cannot be used.
+    """
+    if name == ENCODER_ID:
+        return Encoder(ENCODER_ID, ENCODER_ID, describe)
+    if name != ALEXNET_ID and Path(name).suffix != ".safetensors":
+        raise UsageError(
+            f"no encoder is called '{name}'.",
+            remedy=f"Choose one of {', '.join(ENCODER_NAMES)}, or give a file written by `hnf train encoder`.",
+        )
+    network = load_encoder(None if name == ALEXNET_ID else name)
+    return Encoder(
+        ALEXNET_ID,
+        content_hash(ALEXNET_ID, network.content_id),
+        lambda tactile_map: describe_by_alexnet(network, tactile_map),
+    )
+
+
+def default_encoder(route: Route) -> Encoder:
+    """The make that describes maps of a route where nobody chose one. Raises UsageError for the prior route."""
+    if route not in DEFAULT_NAMES:
+        raise UsageError("what comes from the library has a token already; there is no map to describe.")
+    return encoder_by_name(DEFAULT_NAMES[route])
+
+
+def describe_with(encoder: Encoder, maps: Sequence[TactileMap]) -> Token:
+    """One token of a patch from its tactile map, or from several views of it (merged band by band, by their area).
+
+    Raises MaterialError where there is no map.
+    """
+    sizes = [each.mask.size * each.metres_per_pixel**2 for each in maps]
+    return merge([encoder.describe(each) for each in maps], sizes)

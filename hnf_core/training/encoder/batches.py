@@ -1,0 +1,152 @@
+"""Batches for E: membranes of the pairs, turned, scaled, lit by scattered lamps and seen through noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ...datasets.tactile_pairs import PAIR_SENSORS, Pairs
+from ...material.alexnet.network import (
+    CONTRAST_FLOOR,
+    LEVEL_AT,
+    conditions,
+    target_outputs,
+    view_basis,
+)
+from ...material.token import BAND_FEATURES
+from ...tactile.lamps import varied
+from ...tactile.optics import SENSORS, Sensor
+from ...tactile.views import PITCHES_M
+
+Single = NDArray[np.float32]
+
+LAMP_SETS = 256
+"""Scattered sensors of each make that batches choose from."""
+AS_NAMED = 2 / 3
+"""Share of views under the lamps that the sensor's make names; the others under scattered ones."""
+BACKGROUND_ERROR = 0.02
+NOISE_SHARE, NOISE_LOG10 = 0.5, (-3.5, -1.6)
+"""Share of views with sensor noise, and log10 of its deviation (full scale 1), uniform."""
+SCALE_LOG10 = (-0.5, 0.1)
+"""Heights are multiplied by a factor, log-uniform: more levels than the tiles have."""
+FAINT_DECADES = 3.0
+"""Levels further below the view's strongest band are taught as this far below: no picture shows them."""
+QUARTER = np.array([1.0, -1.0, -1.0, 1.0, 1.0, 1.0, 1.0])
+MIRROR = np.array([1.0, 1.0, -1.0, 1.0, -1.0, 1.0, 1.0])
+"""What a quarter turn and a mirror (left and right) make of a band's features."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """views: (n, 3, 64, 64) of contrast 1. given: (n, CONDITIONS). target: (n, OUTPUTS)."""
+
+    views: Tensor
+    given: Tensor
+    target: Tensor
+
+
+@dataclass(frozen=True)
+class Lamps:
+    """shading: (makes, sets + 1, 3, 3), ambient: (makes, sets + 1, 3); the last set is the make's own."""
+
+    shading: Tensor
+    ambient: Tensor
+    sensors: tuple[Sensor, ...]
+
+
+def scattered_lamps(seed: int, sets: int = LAMP_SETS) -> Lamps:
+    """Sensors of both makes with scattered lamps."""
+    rng = np.random.default_rng(seed)
+    makes = tuple(SENSORS[name] for name in PAIR_SENSORS)
+    pieces = [[*(varied(make, rng) for _ in range(sets)), make] for make in makes]
+    return Lamps(
+        torch.tensor(np.array([[each.shading for each in row] for row in pieces]), dtype=torch.float32),
+        torch.tensor(np.array([[each.ambient for each in row] for row in pieces]), dtype=torch.float32),
+        makes,
+    )
+
+
+def make_batch(pairs: Pairs, rows: NDArray[np.intp], lamps: Lamps, rng: np.random.Generator) -> Batch:
+    """Views of the pairs (rows) under conditions drawn from rng."""
+    count = len(rows)
+    make = rng.integers(0, len(PAIR_SENSORS), count)
+    pitch = pairs.pitch_index[rows]
+    slopes = pairs.slopes[rows, make].astype(np.float32)
+    scale = 10.0 ** rng.uniform(*SCALE_LOG10, count)
+    slopes *= scale[:, None, None, None].astype(np.float32)
+    for row in np.flatnonzero(pitch == 0):
+        # The widest view is the whole tile, which repeats: it can be shifted at will.
+        slopes[row] = np.roll(slopes[row], tuple(rng.integers(0, 64, 2)), axis=(1, 2))
+    turn = rng.integers(0, 8, count)
+    token = pairs.token[pairs.tile_index[rows]].astype(np.float64)
+    slopes, token = turned(slopes, token, turn)
+    limit = np.array([sensor.max_slope for sensor in lamps.sensors], dtype=np.float32)[make]
+    sets = lamps.shading.shape[1] - 1
+    chosen = np.where(rng.random(count) < AS_NAMED, sets, rng.integers(0, sets, count))
+    nominal = rng.random(count) < 0.5
+    image = shaded(torch.tensor(slopes), torch.tensor(limit), lamps.shading[make, chosen], lamps.ambient[make, chosen])
+    told = np.where(nominal, sets, chosen)
+    background = lamps.shading[make, told][:, :, 2] + lamps.ambient[make, told]
+    error = 1.0 + BACKGROUND_ERROR * rng.standard_normal((count, 3)) * (chosen != sets)[:, None]
+    noisy = (rng.random(count) < NOISE_SHARE) * 10.0 ** rng.uniform(*NOISE_LOG10, count)
+    noise = torch.tensor(rng.standard_normal(image.shape, dtype=np.float32))
+    image = image + noise * torch.tensor(noisy, dtype=torch.float32)[:, None, None, None]
+    views, contrast = normalised(image, background * torch.tensor(error, dtype=torch.float32))
+    given = np.stack(
+        [
+            conditions(float(c), lamps.sensors[m], PITCHES_M[p])
+            for c, m, p in zip(contrast.numpy(), make, pitch, strict=True)
+        ]
+    )
+    target = faint_levels_raised(target_outputs(token, contrast.numpy().astype(np.float64), pitch))
+    target[:, LEVEL_AT] += np.log10(scale)[:, None]
+    return Batch(views, torch.tensor(given), torch.tensor(target, dtype=torch.float32))
+
+
+def turned(slopes: Single, token: NDArray[np.float64], turn: NDArray[np.int64]) -> tuple[Single, NDArray[np.float64]]:
+    """Slopes (n, 2, 64, 64) and tokens (n, TOKEN_DIM) of the surfaces after turn & 3 quarter turns counter-clockwise,
+    mirrored (left and right) before where turn & 4."""
+    slopes, token = slopes.copy(), token.copy()
+    bands = token[:, :-2].reshape(len(token), -1, len(BAND_FEATURES))
+    for row, way in enumerate(turn):
+        gx, gy = slopes[row]
+        if way & 4:
+            gx, gy = -gx[:, ::-1], gy[:, ::-1]
+            bands[row] *= MIRROR
+        for _ in range(int(way) & 3):
+            gx, gy = -np.rot90(gy), np.rot90(gx)
+            bands[row] *= QUARTER
+        slopes[row, 0], slopes[row, 1] = gx, gy
+    token[:, :-2] = bands.reshape(len(token), -1)
+    return slopes, token
+
+
+def shaded(slopes: Tensor, limit: Tensor, shading: Tensor, ambient: Tensor) -> Tensor:
+    """(n, 3, 64, 64) sensor images, as tactile.optics.shade, of slopes (n, 2, 64, 64) held at limit (n,)."""
+    length = slopes.square().sum(dim=1, keepdim=True).sqrt()
+    slopes = slopes * torch.clamp(limit[:, None, None, None] / length.clamp(min=1e-9), max=1.0)
+    upward = torch.ones_like(length)
+    normal = torch.cat([-slopes, upward], dim=1) / (1.0 + slopes.square().sum(dim=1, keepdim=True)).sqrt()
+    return torch.einsum("nck,nkhw->nchw", shading, normal) + ambient[:, :, None, None]
+
+
+def normalised(image: Tensor, background: Tensor) -> tuple[Tensor, Tensor]:
+    """Twin of material.alexnet.network.view_input for batches (n, 3, 64, 64), background (n, 3)."""
+    relative = image / background[:, :, None, None] - 1.0
+    basis = torch.tensor(view_basis(image.shape[2], image.shape[3]), dtype=torch.float32)
+    weights = torch.einsum("hwk,nchw->nck", basis, relative)
+    relative = relative - torch.einsum("hwk,nck->nchw", basis, weights)
+    contrast = relative.square().mean(dim=(1, 2, 3)).sqrt()
+    return relative / contrast.clamp(min=CONTRAST_FLOOR)[:, None, None, None], contrast
+
+
+def faint_levels_raised(target: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, OUTPUTS) with no level further than FAINT_DECADES below the strongest of its view."""
+    out = target.copy()
+    levels = out[:, LEVEL_AT]
+    out[:, LEVEL_AT] = np.maximum(levels, levels.max(axis=1, keepdims=True) - FAINT_DECADES)
+    return out

@@ -1,0 +1,121 @@
+"""Fit E: regression on the band descriptor of the whole tile, every output in units of its own spread."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from ...datasets.tactile_pairs import Pairs
+from ...material.alexnet.network import LEVEL_AT, OUTPUTS, Design
+from .batches import Lamps, make_batch, scattered_lamps
+from .network import AlexNetTwin
+
+Watch = Callable[[int, float, float], None]
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """steps of `batch` views, or `minutes` where they are sooner over (None: steps alone, and then the same seed gives
+    the same weights on the same machine). learning_rate: its peak; warm_up: share of the run until there, then a
+    cosine down to nothing. level_weight: of the levels against the other outputs. narrow: convolutions in bfloat16.
+    """
+
+    steps: int = 12000
+    minutes: float | None = None
+    batch: int = 64
+    learning_rate: float = 1e-3
+    warm_up: float = 0.05
+    decay: float = 1e-4
+    level_weight: float = 3.0
+    narrow: bool = True
+
+
+SPREAD_VIEWS = 2048
+SMALLEST_SPREAD = 0.02
+HUBER = 0.2
+"""In units of spread: below it errors count as squares, above as they are: chance peaks must not lead."""
+
+
+def fit(
+    design: Design,
+    pairs: Pairs,
+    schedule: Schedule,
+    seed: int,
+    *,
+    trunk: dict[str, Tensor] | None = None,
+    watch: Watch | None = None,
+) -> AlexNetTwin:
+    """Train the whole network, or with a trunk (torchvision's names) the head alone, the trunk as it is.
+
+    watch(step, share done, mean loss of the last steps) is called about a hundred times.
+    """
+    torch.set_num_threads(1)
+    twin = AlexNetTwin(design)
+    twin.initialise(seed)
+    if trunk is not None:
+        twin.load_state_dict(trunk, strict=False)
+        twin.features.requires_grad_(False)
+    lamps = scattered_lamps(seed)
+    _set_spread(twin, pairs, lamps, seed)
+    twin.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    learnt = [parameter for parameter in twin.parameters() if parameter.requires_grad]
+    optimiser = torch.optim.AdamW(learnt, lr=schedule.learning_rate, weight_decay=schedule.decay)
+    rng = np.random.default_rng([seed, 1])
+    rows = np.zeros(0, dtype=np.intp)
+    began, step, told, losses = time.monotonic(), 0, 0.0, []
+    while (done := _done(schedule, step, time.monotonic() - began)) < 1.0:
+        for group in optimiser.param_groups:
+            group["lr"] = schedule.learning_rate * _rate(done, schedule.warm_up)
+        if len(rows) < schedule.batch:
+            rows = np.concatenate([rows, rng.permutation(len(pairs))])
+        batch = make_batch(pairs, rows[: schedule.batch], lamps, rng)
+        rows = rows[schedule.batch :]
+        with torch.autocast("cpu", torch.bfloat16, enabled=schedule.narrow):
+            found = twin(batch.views, batch.given)
+        loss = loss_of(twin, found, batch.target, schedule.level_weight)
+        optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(learnt, 1.0)
+        optimiser.step()
+        losses.append(float(loss.detach()))
+        step += 1
+        if watch is not None and done >= told:
+            watch(step, done, float(np.mean(losses)))
+            told, losses = done + 0.01, []
+    twin.eval()
+    return twin
+
+
+def loss_of(twin: AlexNetTwin, found: Tensor, target: Tensor, level_weight: float) -> Tensor:
+    """Mean Huber loss over outputs in units of spread, levels weighted."""
+    wanted = (target - twin.output_mean) / twin.output_spread
+    weight = torch.ones(OUTPUTS)
+    weight[list(LEVEL_AT)] = level_weight
+    each = functional.huber_loss(found, wanted, reduction="none", delta=HUBER) / HUBER
+    return (each * weight).mean() / weight.mean()
+
+
+def _set_spread(twin: AlexNetTwin, pairs: Pairs, lamps: Lamps, seed: int) -> None:
+    rng = np.random.default_rng([seed, 2])
+    count = max(1, min(SPREAD_VIEWS, len(pairs)))
+    target = make_batch(pairs, rng.choice(len(pairs), count, replace=False), lamps, rng).target
+    twin.output_mean.copy_(target.mean(dim=0))
+    twin.output_spread.copy_(target.std(dim=0, correction=0).clamp(min=SMALLEST_SPREAD))
+
+
+def _done(schedule: Schedule, step: int, seconds: float) -> float:
+    by_time = 0.0 if schedule.minutes is None else seconds / (60.0 * schedule.minutes)
+    return max(step / schedule.steps, by_time)
+
+
+def _rate(done: float, warm_up: float) -> float:
+    if done < warm_up:
+        return max(done / warm_up, 0.02)
+    return 0.5 + 0.5 * math.cos(math.pi * (done - warm_up) / (1.0 - warm_up))

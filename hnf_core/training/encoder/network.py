@@ -1,0 +1,109 @@
+"""The torch twin of hnf_core.material.alexnet: the same tensors, names and arithmetic, with gradients."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from ...material.alexnet.network import (
+    CONDITIONS,
+    OUTPUTS,
+    PICTURE_CONTRAST,
+    PICTURE_GREY,
+    AlexNet,
+    Design,
+    enlarging,
+)
+from ...material.alexnet.trunk import FEATURES, POOL, POOL_STRIDE, TRUNK
+from ...tactile.views import VIEW_PIXELS
+
+Single = NDArray[np.float32]
+
+
+class AlexNetTwin(nn.Module):
+    """forward: views (n, 3, 64, 64) of contrast 1 and conditions (n, CONDITIONS) → (n, OUTPUTS) in units of spread.
+
+    State dict: torchvision's names for the trunk (features.0.weight …), head.0 and head.2; output.mean and
+    output.spread belong to it as buffers.
+    """
+
+    def __init__(self, design: Design) -> None:
+        super().__init__()
+        self.design = design
+        self.features = nn.Sequential(*_trunk())
+        self.head = nn.Sequential(
+            nn.Linear(FEATURES + CONDITIONS, design.hidden), nn.ReLU(), nn.Linear(design.hidden, OUTPUTS)
+        )
+        self.output = nn.Module()
+        self.output.register_buffer("mean", torch.zeros(OUTPUTS))
+        self.output.register_buffer("spread", torch.ones(OUTPUTS))
+        self.mean = torch.tensor(design.mean)[:, None, None]
+        self.deviation = torch.tensor(design.deviation)[:, None, None]
+        self.matrix = torch.tensor(enlarging(VIEW_PIXELS, design.pixels)) if design.pixels != VIEW_PIXELS else None
+
+    @property
+    def output_mean(self) -> Tensor:
+        """(OUTPUTS,) of the training targets."""
+        return self.get_buffer("output.mean")
+
+    @property
+    def output_spread(self) -> Tensor:
+        """(OUTPUTS,) standard deviation of the training targets: the unit of forward's result."""
+        return self.get_buffer("output.spread")
+
+    def pooled(self, views: Tensor) -> Tensor:
+        """(n, FEATURES) trunk features averaged over positions."""
+        picture = (PICTURE_GREY + PICTURE_CONTRAST * views - self.mean) / self.deviation
+        if self.matrix is not None:
+            picture = self.matrix @ picture @ self.matrix.T
+        found: Tensor = self.features(picture.contiguous(memory_format=torch.channels_last))
+        return found.float().mean(dim=(2, 3))
+
+    def forward(self, views: Tensor, given: Tensor) -> Tensor:
+        """In units of each output's spread about its mean."""
+        found: Tensor = self.head(torch.cat([self.pooled(views), given], dim=1))
+        return found.float()
+
+    def initialise(self, seed: int) -> None:
+        """He et al. (2015): rectified layers that keep their input's variance; the last layer starts at nothing."""
+        generator = torch.Generator().manual_seed(seed)
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d | nn.Linear):
+                fan_in = module.weight[0].numel()
+                with torch.no_grad():
+                    module.weight.normal_(0.0, (2.0 / fan_in) ** 0.5, generator=generator)
+                    if module.bias is not None:
+                        module.bias.zero_()
+        last = self.head[2]
+        assert isinstance(last, nn.Linear)
+        with torch.no_grad():
+            last.weight.mul_(0.1)
+
+    def to_numpy(self, metadata: Mapping[str, str]) -> AlexNet:
+        """The run-time network with these tensors."""
+        state = {name: value.detach().float().numpy().copy() for name, value in self.state_dict().items()}
+        return AlexNet(self.design, {name: state[name] for name in self.design.shapes()}, dict(metadata))
+
+
+def twin_of(network: AlexNet) -> AlexNetTwin:
+    """The torch network with a run-time network's tensors."""
+    twin = AlexNetTwin(network.design)
+    twin.load_state_dict({name: torch.tensor(np.asarray(value)) for name, value in network.tensors.items()})
+    return twin
+
+
+def _trunk() -> list[nn.Module]:
+    """In torchvision's order, so that its names come out: ReLU after every convolution, pooling after the first two."""
+    layers: list[nn.Module] = []
+    for part in TRUNK:
+        layers += [
+            nn.Conv2d(part.inputs, part.outputs, part.kernel, part.stride, part.padding),
+            nn.ReLU(inplace=True),
+        ]
+        if part.pool:
+            layers.append(nn.MaxPool2d(POOL, POOL_STRIDE))
+    return layers
