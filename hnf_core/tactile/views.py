@@ -33,8 +33,9 @@ GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 class LookView:
     """A patch's look in one view (column → +x, row → −y).
 
-    rgb: (64, 64, 3) float32 linear colour 0–1. depth_m: (64, 64) float32 macro depth in metres less its mean, 0 where
-    unknown. depth_known: whether there is a depth at all. pitch_m: one of PITCHES_M.
+    rgb: (64, 64, 3) float32 linear colour 0–1. depth_m: (64, 64) float32 macro depth in metres (growing away from the
+    viewer, as a camera's) less its mean, 0 where unknown. depth_known: whether there is a depth at all. pitch_m: one of
+    PITCHES_M.
     """
 
     rgb: NDArray[np.float32]

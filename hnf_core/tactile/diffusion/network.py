@@ -1,0 +1,154 @@
+"""D_φ in numpy: one view through the U-Net, a few dozen matrix products (torch twin: training.tactile_map.network).
+
+A picture is (channels, rows · columns). A 3 × 3 convolution copies the picture three times, shifted by a column, and is
+then one matrix product per row of the kernel: shifts by a row are mere offsets into the copies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .config import HEADS, MapConfig
+
+Array = NDArray[np.float32]
+
+NORM_EPSILON = 1e-5
+
+
+@dataclass(frozen=True)
+class Network:
+    """config and parameters as MapConfig.shapes() has them, float32; kernels: 3 × 3 weights as (3, out, 3 · in)."""
+
+    config: MapConfig
+    parameters: Mapping[str, Array]
+    kernels: Mapping[str, Array]
+
+
+def network_of(config: MapConfig, parameters: Mapping[str, Array]) -> Network:
+    """Ready to run. Parameters must have config.shapes()."""
+    kernels = {
+        name: np.ascontiguousarray(value.transpose(2, 0, 3, 1)).reshape(3, value.shape[0], -1)
+        for name, value in parameters.items()
+        if value.ndim == 4 and value.shape[-1] == 3
+    }
+    return Network(config, parameters, kernels)
+
+
+def run(network: Network, pictures: Array, conditions: Array) -> tuple[Array, np.float32]:
+    """pictures (6, 64, 64) and conditions (condition_size,) of one view → slopes (2, 64, 64) and level, both of v."""
+    config, get = network.config, network.parameters
+    embedding = _silu(_dense(network, "embed.1", _silu(_dense(network, "embed.0", conditions))))
+    side = pictures.shape[-1] // 2
+    x = _conv3(network, "enter", _unshuffled(pictures.reshape(len(pictures), -1), 2 * side), side)
+    kept = []
+    for level in range(2):
+        for index in range(config.down):
+            x = _block(network, f"down.{level}.{index}", x, embedding, side)
+        kept.append(x)
+        x = _conv1(network, f"shrink.{level}", _unshuffled(x, side))
+        side //= 2
+    for index in range(config.deep - 1):
+        x = _block(network, f"deep.{index}", x, embedding, side)
+    x = _block(network, f"deep.{config.deep - 1}", _attention(network, x), embedding, side)
+    summary = np.concatenate([x.mean(axis=1), embedding])
+    level_out = _dense(network, "level.1", _silu(_dense(network, "level.0", summary)))
+    for level in (1, 0):
+        grown = _conv1(network, f"grow.{level}", x).reshape(-1, side, 1, side, 1)
+        side *= 2
+        skip = kept[level].reshape(-1, side // 2, 2, side // 2, 2)
+        x = np.add(skip, grown).reshape(len(skip), -1)
+        for index in range(config.up):
+            x = _block(network, f"up.{level}.{index}", x, embedding, side)
+    scale, shift = _norm(x, get["leave_norm.weight"], get["leave_norm.bias"], config.groups)
+    out = _conv3(network, "leave", _silu_of(x, scale, shift), side)
+    slopes = out.reshape(2, 2, 2, side, side).transpose(0, 3, 1, 4, 2)
+    return np.ascontiguousarray(slopes).reshape(2, 2 * side, 2 * side), level_out[0]
+
+
+def _block(network: Network, name: str, x: Array, embedding: Array, side: int) -> Array:
+    get, groups = network.parameters, network.config.groups
+    scale, shift = _norm(x, get[f"{name}.norm1.weight"], get[f"{name}.norm1.bias"], groups)
+    inner = _conv3(network, f"{name}.conv1", _silu_of(x, scale, shift), side)
+    scale, shift = _norm(inner, get[f"{name}.norm2.weight"], get[f"{name}.norm2.bias"], groups)
+    film_scale, film_shift = np.split(_dense(network, f"{name}.film", embedding), 2)
+    gain = 1.0 + film_scale
+    out = _conv3(network, f"{name}.conv2", _silu_of(inner, scale * gain, shift * gain + film_shift), side)
+    out += x
+    return out
+
+
+def _attention(network: Network, x: Array) -> Array:
+    get = network.parameters
+    scale, shift = _norm(x, get["attention.norm.weight"], get["attention.norm.bias"], network.config.groups)
+    size, pixels = x.shape
+    parts = _conv1(network, "attention.into", x * scale[:, None] + shift[:, None])
+    query, key, value = parts.reshape(3, HEADS, size // HEADS, pixels)
+    logits = query.transpose(0, 2, 1) @ key * np.float32((size // HEADS) ** -0.5)
+    share = np.exp(logits - logits.max(axis=-1, keepdims=True))
+    share /= share.sum(axis=-1, keepdims=True)
+    mixed = value @ share.transpose(0, 2, 1)
+    return np.asarray(x + _conv1(network, "attention.out", mixed.reshape(size, pixels)))
+
+
+def _norm(x: Array, weight: Array, bias: Array, groups: int) -> tuple[Array, Array]:
+    """Group norm (Wu & He 2018) as factor and offset per channel."""
+    parts = x.reshape(groups, -1)
+    count = parts.shape[1]
+    mean = parts.mean(axis=1)
+    variance = np.einsum("gn,gn->g", parts, parts) / np.float32(count) - mean**2
+    each = np.repeat(1.0 / np.sqrt(np.maximum(variance, 0.0) + np.float32(NORM_EPSILON)), len(x) // groups)
+    scale = weight * each
+    return scale, bias - np.repeat(mean, len(x) // groups) * scale
+
+
+def _silu_of(x: Array, scale: Array, shift: Array) -> Array:
+    """SiLU of scale · x + shift."""
+    out = x * scale[:, None]
+    out += shift[:, None]
+    return _silu(out)
+
+
+def _silu(x: Array) -> Array:
+    """x / (1 + e^−x). Below −87 the exponential would leave float32; the result is 0 there anyway."""
+    gate = np.negative(x)
+    np.minimum(gate, np.float32(87.0), out=gate)
+    np.exp(gate, out=gate)
+    gate += np.float32(1.0)
+    return np.divide(x, gate, out=gate)
+
+
+def _dense(network: Network, name: str, x: Array) -> Array:
+    return np.asarray(network.parameters[f"{name}.weight"] @ x + network.parameters[f"{name}.bias"])
+
+
+def _conv1(network: Network, name: str, x: Array) -> Array:
+    weight = network.parameters[f"{name}.weight"]
+    out = weight.reshape(weight.shape[:2]) @ x
+    out += network.parameters[f"{name}.bias"][:, None]
+    return out
+
+
+def _conv3(network: Network, name: str, x: Array, side: int) -> Array:
+    kernel = network.kernels[f"{name}.weight"]
+    picture = x.reshape(-1, side, side)
+    shifted = np.zeros((3, len(picture), side + 2, side), dtype=np.float32)
+    shifted[0, :, 1:-1, 1:] = picture[:, :, :-1]
+    shifted[1, :, 1:-1] = picture
+    shifted[2, :, 1:-1, :-1] = picture[:, :, 1:]
+    columns = shifted.reshape(3 * len(picture), -1)
+    pixels = side * side
+    out = kernel[0] @ columns[:, :pixels]
+    out += kernel[1] @ columns[:, side : side + pixels]
+    out += kernel[2] @ columns[:, 2 * side :]
+    out += network.parameters[f"{name}.bias"][:, None]
+    return out
+
+
+def _unshuffled(x: Array, side: int) -> Array:
+    """(c, side²) → (4 c, side²/4): each 2 × 2 block of pixels becomes four channels."""
+    blocks = x.reshape(-1, side // 2, 2, side // 2, 2).transpose(0, 2, 4, 1, 3)
+    return np.ascontiguousarray(blocks).reshape(4 * len(x), -1)

@@ -1,0 +1,113 @@
+"""From looks to tactile maps: D_φ sampled at run time, in numpy."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import UsageError
+from ...files import content_hash
+from ..height import integrate_gradients
+from ..optics import limit_slope, sensor_by_name, shade
+from ..tactile_map import Route, TactileMap
+from ..views import VIEW_PIXELS, LookView
+from .conditions import Look, condition, look_of_view, pitch_index_of
+from .config import REGRESSION
+from .network import run
+from .sampling import denoise, guided
+from .schedule import log_snr, sampling_steps
+from .weights import MapWeights
+
+Array = NDArray[np.float32]
+
+DEFAULT_STEPS = 20
+
+
+def predict(
+    weights: MapWeights,
+    views: Sequence[LookView],
+    sensor: str,
+    *,
+    seed: int,
+    steps: int = DEFAULT_STEPS,
+    guidance: float = 1.0,
+) -> tuple[TactileMap, ...]:
+    """The tactile map of every view: what the sensor would show, sampled (route PREDICTED).
+
+    The noise of a view is drawn from the seed and from what the view holds, so that neither its neighbours in the
+    batch nor their order matter, and equal views give equal maps. guidance: 1 = the plain conditional model. height is
+    integrated from the predicted slopes of the membrane (tilt and anything longer than the view is not in it).
+    Weights of the regression baseline take one pass and no noise. Raises UsageError for an unknown sensor, one that
+    the weights were not trained for, a view of another shape or pitch, or impossible steps.
+    """
+    if sensor_by_name(sensor).name not in weights.config.sensors:
+        raise UsageError(
+            f"these weights know {', '.join(weights.config.sensors)}, not {sensor}.", remedy="Choose one of them."
+        )
+    sampling_steps(steps)
+    for view in views:
+        _check(view)
+    if not views:
+        return ()
+    # One view a thread: numpy lets go of the interpreter in its loops and products.
+    with ThreadPoolExecutor(min(len(views), os.cpu_count() or 1)) as pool:
+        found = list(pool.map(lambda view: predict_slopes(weights, view, sensor, seed, steps, guidance), views))
+    return tuple(_tactile_map(slopes, view.pitch_m, sensor) for slopes, view in zip(found, views, strict=True))
+
+
+def predict_slopes(
+    weights: MapWeights, view: LookView, sensor: str, seed: int, steps: int = DEFAULT_STEPS, guidance: float = 1.0
+) -> Array:
+    """(2, 64, 64) sampled slopes ∂h/∂x, ∂h/∂y of the membrane in one view."""
+    config = weights.config
+    look = look_of_view(view)
+    free = look_of_view(view, rgb_known=False) if guidance != 1.0 else None
+    pitch, which = np.array([pitch_index_of(view.pitch_m)]), np.array([config.sensors.index(sensor)])
+
+    def once(of: Look, slopes: Array, level: Array, snr: float) -> tuple[Array, Array]:
+        told = condition(np.array([snr]), level, pitch, which, len(config.sensors), of.scalars)
+        v, v_level = run(weights.network, np.concatenate([slopes, of.pictures[0]]), told[0])
+        return v, np.array([v_level])
+
+    def velocity(slopes: Array, level: Array, snr: float) -> tuple[Array, Array]:
+        # A Python float times float32 stays float32 on numpy 1 and 2 alike; this guards the promise.
+        slopes, level = slopes.astype(np.float32, copy=False), level.astype(np.float32, copy=False)
+        conditional = once(look, slopes, level, snr)
+        return conditional if free is None else guided(conditional, once(free, slopes, level, snr), guidance)
+
+    if config.objective == REGRESSION:
+        empty = np.zeros((2, VIEW_PIXELS, VIEW_PIXELS), dtype=np.float32)
+        slopes, level = velocity(empty, np.zeros(1, dtype=np.float32), float(log_snr(0.5)))
+    else:
+        rng = np.random.default_rng(int(_content(view, sensor, seed), 16))
+        noise = rng.standard_normal((2, VIEW_PIXELS, VIEW_PIXELS), dtype=np.float32)
+        slopes, level = denoise(velocity, noise, rng.standard_normal(1, dtype=np.float32), steps)
+    # The level holds the scale by definition; what the pattern lost or won on the way is error.
+    rms = max(float(np.sqrt(np.mean(slopes**2))), 1e-6)
+    return np.asarray(slopes * (10.0 ** (config.level_mean + config.level_scale * float(level[0])) / rms), np.float32)
+
+
+def _tactile_map(slopes: Array, pitch_m: float, sensor: str) -> TactileMap:
+    optics = sensor_by_name(sensor)
+    gx, gy = limit_slope(slopes[0].astype(np.float64), slopes[1].astype(np.float64), optics.max_slope)
+    height = integrate_gradients(gx, gy, pitch_m).astype(np.float32)
+    mask = np.ones(height.shape, dtype=bool)
+    return TactileMap(shade(gx, gy, optics), height, mask, pitch_m, sensor, 2.0 * pitch_m, Route.PREDICTED, "D_φ")
+
+
+def _content(view: LookView, sensor: str, seed: int) -> str:
+    rgb, depth = (np.ascontiguousarray(each, dtype="<f4").tobytes() for each in (view.rgb, view.depth_m))
+    return content_hash(f"{seed} {sensor} {view.pitch_m:.9g} {view.depth_known}", rgb, depth)
+
+
+def _check(view: LookView) -> None:
+    pitch_index_of(view.pitch_m)
+    square = (VIEW_PIXELS, VIEW_PIXELS)
+    if view.rgb.shape != (*square, 3) or view.depth_m.shape != square:
+        raise UsageError(f"a view must be {square}, not {view.rgb.shape} with depth {view.depth_m.shape}.")
+    if not (np.isfinite(view.rgb).all() and np.isfinite(view.depth_m).all()):
+        raise UsageError("a view must be finite throughout.", remedy="Cut views with tactile.views.cut_views.")

@@ -1,0 +1,120 @@
+"""D_φ on disk: half-precision safetensors with its architecture and metrics in the header, checked on the way in."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import FileError, WeightsError
+from ...files import content_hash, sorted_safetensors, write_bytes
+from ..optics import SENSORS
+from .config import DIFFUSION, HEADS, REGRESSION, MapConfig
+from .network import Network, network_of
+
+DEFAULT_WEIGHTS = Path(__file__).parents[2] / "data" / "tactile-map.safetensors"
+FORMAT = "hnf-tactile-map-1"
+_RETRAIN = "Train it again with `hnf train tactile-map`, or choose other weights."
+
+
+@dataclass(frozen=True)
+class MapWeights:
+    """network: ready to run. metadata: training data, seed, metrics, licence, all text. fingerprint: of the file."""
+
+    network: Network
+    metadata: Mapping[str, str]
+    fingerprint: str
+
+    @property
+    def config(self) -> MapConfig:
+        return self.network.config
+
+
+def save_map_weights(
+    path: Path, config: MapConfig, parameters: Mapping[str, NDArray[np.float32]], metadata: Mapping[str, str]
+) -> None:
+    """Write in half precision, atomically; format and architecture are added. Equal weights give equal bytes.
+
+    Raises FileError, and WeightsError for parameters that half precision cannot hold.
+    """
+    from safetensors.numpy import save
+
+    with np.errstate(over="ignore"):
+        tensors = {name: np.ascontiguousarray(value, dtype=np.float16) for name, value in parameters.items()}
+    beyond = [name for name, value in tensors.items() if not np.isfinite(value).all()]
+    if beyond:
+        raise WeightsError(f"{beyond[0]} is not finite in half precision.", where=str(path), remedy=_RETRAIN)
+    header = {**metadata, "format": FORMAT, "architecture": json.dumps(dataclasses.asdict(config), sort_keys=True)}
+    write_bytes(path, sorted_safetensors(save(tensors, metadata=header)))
+
+
+def load_map_weights(path: Path | str | None = None) -> MapWeights:
+    """Read weights; without a path the shipped default (read once).
+
+    Raises FileError where there is no file, WeightsError where it is damaged, of another format or architecture, not
+    finite, or knows a sensor that is not in tactile.optics.
+    """
+    return _default() if path is None else _read(Path(path))
+
+
+@lru_cache(maxsize=1)
+def _default() -> MapWeights:
+    return _read(DEFAULT_WEIGHTS)
+
+
+def _read(path: Path) -> MapWeights:
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise FileError(
+            f"cannot read weights ({error.strerror}).", where=str(path), remedy="Check the path."
+        ) from error
+    try:
+        tensors = load(data)
+        metadata = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")]).get("__metadata__", {})
+    except (SafetensorError, ValueError, KeyError, TypeError) as error:
+        raise WeightsError(
+            f"damaged or not a safetensors file ({error}).", where=str(path), remedy="Get the file again."
+        ) from error
+    if metadata.get("format") != FORMAT:
+        found = metadata.get("format", "no format")
+        raise WeightsError(f"not weights of tactile maps ({found}, not {FORMAT}).", where=str(path), remedy=_RETRAIN)
+    try:
+        config = _config(metadata["architecture"])
+        shapes = config.shapes()
+    except (KeyError, TypeError, ValueError) as error:
+        raise WeightsError(f"unreadable description ({error}).", where=str(path), remedy=_RETRAIN) from error
+    found_shapes = {name: value.shape for name, value in tensors.items()}
+    if found_shapes != shapes:
+        wrong = sorted(set(found_shapes.items()) ^ set(shapes.items()))
+        raise WeightsError(f"parameters do not fit the architecture: {wrong[:3]}.", where=str(path), remedy=_RETRAIN)
+    parameters = {name: value.astype(np.float32) for name, value in tensors.items()}
+    if not all(np.isfinite(value).all() for value in parameters.values()):
+        raise WeightsError("parameters are not all finite.", where=str(path), remedy=_RETRAIN)
+    return MapWeights(network_of(config, parameters), dict(metadata), content_hash(data))
+
+
+def _config(text: str) -> MapConfig:
+    record = json.loads(text)
+    config = MapConfig(**{**record, "channels": tuple(record["channels"]), "sensors": tuple(record["sensors"])})
+    sizes = (*config.channels, config.down, config.up, config.deep, config.embedding, config.groups)
+    if len(config.channels) != 3 or not all(isinstance(size, int) and 0 < size <= 4096 for size in sizes):
+        raise ValueError(f"sizes {sizes}")
+    if any(size % config.groups for size in config.channels) or config.channels[2] % HEADS:
+        raise ValueError(f"channels {config.channels} do not divide into {config.groups} groups and {HEADS} heads")
+    if config.objective not in (DIFFUSION, REGRESSION):
+        raise ValueError(f"objective {config.objective!r}")
+    if not config.sensors or not set(config.sensors) <= set(SENSORS):
+        raise ValueError(f"sensors {config.sensors}")
+    if not (np.isfinite(config.level_mean) and 0.0 < config.level_scale < np.inf):
+        raise ValueError(f"level {config.level_mean} ± {config.level_scale}")
+    return config
