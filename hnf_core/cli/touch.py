@@ -10,6 +10,7 @@ from typing import Any
 from ..action.primitives import PRIMITIVES, Primitive
 from ..action.words import primitive_of
 from ..errors import UsageError
+from .probe import ProbePlace, probe_place
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,8 @@ class TouchRequest:
     """What a run of `touch` was asked for.
 
     scene: file to open, or None for the file already open in Blender. metres_per_unit: None = the scene's own.
-    seed: None = each stroke's own. plan_only: print the plan and stop.
+    seed: None = each stroke's own. plan_only: print the plan and stop. probes: places to look at; with them, the
+    scene's own strokes are left alone unless placements ask for strokes too.
     """
 
     scene: Path | None
@@ -44,6 +46,12 @@ class TouchRequest:
     seed: int | None = None
     plan_only: bool = False
     as_json: bool = False
+    probes: tuple[ProbePlace, ...] = ()
+
+    @property
+    def only_probes(self) -> bool:
+        """Look at places, and do nothing else."""
+        return bool(self.probes) and not self.placements
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
@@ -68,6 +76,11 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser.add_argument(
         "--material", action="append", default=[], metavar="OBJECT[:SLOT]=NAME", dest="materials",
         help="use this library material there (see: hnf materials)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--probe", action="append", default=[], metavar="OBJECT:u,v", type=probe_place, dest="probes",
+        help="say what is felt at this place of the surface: tactile map, roughness, friction, nearest materials; "
+        "without --stroke nothing else is done. Or OBJECT:x,y,z in the object's own coordinates",
     )  # fmt: skip
     parser.add_argument("--scale", type=float, metavar="METRES_PER_UNIT", help="length of one scene unit in metres")
     parser.add_argument("--seed", type=int, metavar="N", help="seed of all strokes; default: each stroke's own")
@@ -96,6 +109,7 @@ def request_from(arguments: argparse.Namespace) -> TouchRequest:
         seed=arguments.seed,
         plan_only=arguments.plan,
         as_json=arguments.json,
+        probes=tuple(arguments.probes),
     )
 
 

@@ -8,15 +8,18 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
+GREY, TRUECOLOUR = 0, 2
+"""Colour types of the header."""
+
 
 def grey_png(pixels: NDArray[np.uint8]) -> bytes:
     """The file of (H, W) uint8 values, row by row from the top; equal pixels give equal bytes with one zlib."""
-    return _png(pixels, 0)
+    return _png(pixels, GREY)
 
 
 def colour_png(pixels: NDArray[np.uint8]) -> bytes:
-    """The file of (H, W, 3) uint8 sRGB values; else as grey_png."""
-    return _png(pixels, 2)
+    """The same of (H, W, 3) uint8 sRGB values."""
+    return _png(pixels, TRUECOLOUR)
 
 
 def _png(pixels: NDArray[np.uint8], colour_type: int) -> bytes:

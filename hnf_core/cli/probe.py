@@ -1,0 +1,36 @@
+"""A place to look at, in words: OBJECT:u,v or OBJECT:x,y,z."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import dataclass
+
+SHAPE = "OBJECT:u,v"
+
+
+@dataclass(frozen=True)
+class ProbePlace:
+    """target: name of an object. at: its UV (2 numbers), or a point in its own coordinates, Blender units (3)."""
+
+    target: str
+    at: tuple[float, ...]
+
+    @property
+    def name(self) -> str:
+        """As it is asked for; the numbers are told again exactly."""
+        return f"{self.target}:{','.join(f'{value:.9g}' for value in self.at)}"
+
+
+def probe_place(text: str) -> ProbePlace:
+    """ "Cup:0.5,0.25" → a place. Object names may hold colons: the last one counts. Raises ArgumentTypeError."""
+    target, colon, numbers = text.rpartition(":")
+    try:
+        at = tuple(float(number) for number in numbers.split(","))
+    except ValueError:
+        at = ()
+    if not colon or not target or len(at) not in (2, 3) or not all(math.isfinite(value) for value in at):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not {SHAPE} (or OBJECT:x,y,z in the object's own coordinates). Example: --probe Cup:0.5,0.25"
+        )
+    return ProbePlace(target, at)
