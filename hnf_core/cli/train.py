@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from ..errors import HnfError, UsageError
 from ..field.weights import save_field
 from .progress import Progress, ProgressBar
+from .train_tactile_map import add_parser as _add_tactile_map
 
 if TYPE_CHECKING:
     from ..datasets.dataset import DataSet
@@ -25,7 +26,7 @@ LICENCES = {
     "lmt": "trained on the LMT haptic texture database: its own terms apply",
     "simulated": "GPL-3.0-or-later",
 }
-SUBJECTS: tuple[Callable[[Any], object], ...] = ()
+SUBJECTS: tuple[Callable[[Any], object], ...] = (_add_tactile_map,)
 """What else can be trained: each adds a parser that names its own runner as the default of `run`."""
 
 

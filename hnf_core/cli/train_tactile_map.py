@@ -1,0 +1,97 @@
+"""`hnf train tactile-map`: D_φ, which predicts tactile maps from colour and depth, from paired views."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..errors import HnfError, UsageError
+from .progress import Progress, ProgressBar
+
+if TYPE_CHECKING:
+    from ..training.tactile_map.validate import Distance
+
+SIMULATED = "simulated"
+DEFAULT_MINUTES = 60.0
+
+
+def add_parser(subjects: Any) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = subjects.add_parser(
+        "tactile-map",
+        help="the network that predicts tactile maps from a look",
+        description="Train D_φ (colour and depth → tactile map) on paired views and write its weights. A killed run "
+        "goes on where it was when the same command is given again. Needs the extra [train].",
+    )
+    parser.add_argument(
+        "--data", required=True, metavar="DIR",
+        help="folder of pairs (tools/make_tactile_pairs.py), or simulated: they are made first, beside FILE",
+    )  # fmt: skip
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="weights to write (.safetensors)")
+    parser.add_argument(
+        "--minutes", type=float, default=DEFAULT_MINUTES, metavar="M", help=f"to train (default {DEFAULT_MINUTES:g})"
+    )
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of batches, noise and initial weights")
+    parser.add_argument("--regression", action="store_true", help="the baseline: no noise, one pass, least squares")
+    parser.add_argument("--fresh", action="store_true", help="start anew even where a killed run could go on")
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    parser.set_defaults(run=run)
+    return parser
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Raises HnfError; returns the exit code."""
+    if arguments.seed < 0 or not arguments.minutes > 0:
+        raise UsageError("--seed must be a whole number from 0, --minutes more than 0.")
+    if arguments.out.suffix != ".safetensors":
+        raise UsageError(f"--out {arguments.out.name}: weights are .safetensors files.", remedy="Name it so.")
+    checkpoint = arguments.out.with_name(f"{arguments.out.name}.checkpoint")
+    if arguments.fresh:
+        checkpoint.unlink(missing_ok=True)
+    record = _train(arguments, checkpoint)
+    checkpoint.unlink(missing_ok=True)
+    words = record.pop("in_words")
+    text = f"{record['weights']}: {record['training_data']}; {record['views']} views seen; {words}"
+    print(json.dumps(record, indent=1) if arguments.json else text)
+    return 0
+
+
+def _train(arguments: argparse.Namespace, checkpoint: Path) -> dict[str, Any]:
+    try:
+        from ..training.tactile_map.fit import Plan
+        from ..training.tactile_map.recipe import train_map
+    except ImportError as error:
+        raise HnfError(
+            f"training needs torch ({error}).",
+            remedy="In a checkout: make env-test; elsewhere: pip install 'hnf[train]'.",
+        ) from error
+    from ..tactile.diffusion.config import DIFFUSION, REGRESSION, MapConfig
+
+    bar = ProgressBar()
+
+    def watch(step: int, spent: float, loss: float, distances: Mapping[str, Distance]) -> None:
+        bar.show(Progress(f"% loss {loss:.4f}", int(100 * spent), 100))
+        for name, distance in distances.items():
+            print(f"hnf: {step} steps, {name}: {distance.in_words()}", file=sys.stderr)
+
+    try:
+        folder = _pairs_of(arguments, bar)
+        config = MapConfig(objective=REGRESSION if arguments.regression else DIFFUSION)
+        plan = Plan(minutes=arguments.minutes, seed=arguments.seed)
+        return train_map(folder, plan, config, arguments.out, checkpoint, watch)
+    finally:
+        bar.close()
+
+
+def _pairs_of(arguments: argparse.Namespace, bar: ProgressBar) -> Path:
+    if arguments.data != SIMULATED:
+        return Path(arguments.data)
+    from ..datasets.pair_shards import make_pairs
+    from ..datasets.pair_tiles import PairSizes
+
+    folder = arguments.out.with_name(f"{arguments.out.stem}-pairs")
+    make_pairs(folder, PairSizes(), arguments.seed, told=lambda done, total: bar.show(Progress("shards", done, total)))
+    return Path(folder)

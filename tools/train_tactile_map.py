@@ -1,0 +1,64 @@
+"""Train the shipped weights hnf_core/data/tactile-map.safetensors, or their baseline, on generated pairs.
+
+Usage: python tools/train_tactile_map.py [--regression] [--minutes M | --steps N] [--data DIR] [--out FILE] [--seed N]
+Needs the extra "train" and the pairs of tools/make_tactile_pairs.py. One core; a killed run goes on where it was.
+--regression trains the baseline of the same size instead: no noise, one pass, least squares.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+from hnf_core.tactile.diffusion.config import DIFFUSION, REGRESSION, MapConfig  # noqa: E402
+from hnf_core.training.tactile_map.fit import Plan  # noqa: E402
+from hnf_core.training.tactile_map.recipe import train_map  # noqa: E402
+from hnf_core.training.tactile_map.validate import Distance  # noqa: E402
+
+BUILD = ROOT / "build"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, default=BUILD / "tactile-pairs", help="folder of the pairs")
+    parser.add_argument("--out", type=Path, help="default: build/tactile-map/{diffusion,regression}.safetensors")
+    parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--steps", type=int, help="at most so many")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--rate", type=float, default=Plan().rate)
+    parser.add_argument("--batch", type=int, default=Plan().batch)
+    parser.add_argument("--regression", action="store_true", help="the baseline")
+    parser.add_argument("--partial", action="store_true", help="train on what shards are there")
+    arguments = parser.parse_args()
+    objective = REGRESSION if arguments.regression else DIFFUSION
+    out = arguments.out or BUILD / "tactile-map" / f"{objective}.safetensors"
+    plan = Plan(steps=arguments.steps, minutes=arguments.minutes, seed=arguments.seed, threads=arguments.threads,
+                rate=arguments.rate, batch=arguments.batch)  # fmt: skip
+    began = time.monotonic()
+
+    def watch(step: int, spent: float, loss: float, distances: Mapping[str, Distance]) -> None:
+        if step % 100 == 0 or distances:
+            words = "; ".join(f"{name} {distance.in_words()}" for name, distance in distances.items())
+            seconds = time.monotonic() - began
+            print(f"{seconds:6.0f} s  step {step}, {spent:.1%}, loss {loss:.4f}  {words}", file=sys.stderr, flush=True)
+
+    checkpoint = out.with_name(f"{out.name}.checkpoint")
+    record = train_map(
+        arguments.data, plan, MapConfig(objective=objective), out, checkpoint, watch, partial=arguments.partial
+    )
+    print(json.dumps(record, indent=1))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
