@@ -35,7 +35,8 @@ class TouchRequest:
 
     scene: file to open, or None for the file already open in Blender. metres_per_unit: None = the scene's own.
     seed: None = each stroke's own. plan_only: print the plan and stop. probes: places to look at; with them, the
-    scene's own strokes are left alone unless placements ask for strokes too.
+    scene's own strokes are left alone unless placements ask for strokes too. encoder: name or file of the E that
+    describes tactile maps, "" = the default of each route.
     """
 
     scene: Path | None
@@ -47,6 +48,7 @@ class TouchRequest:
     plan_only: bool = False
     as_json: bool = False
     probes: tuple[ProbePlace, ...] = ()
+    encoder: str = ""
 
     @property
     def only_probes(self) -> bool:
@@ -82,6 +84,11 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         help="say what is felt at this place of the surface: tactile map, roughness, friction, nearest materials; "
         "without --stroke nothing else is done. Or OBJECT:x,y,z in the object's own coordinates",
     )  # fmt: skip
+    parser.add_argument(
+        "--encoder", default="", metavar="NAME|FILE",
+        help="the encoder that describes tactile maps: band-descriptor-1, alexnet-bands-1, or a file written by "
+        "hnf train encoder; default: band-descriptor-1",
+    )  # fmt: skip
     parser.add_argument("--scale", type=float, metavar="METRES_PER_UNIT", help="length of one scene unit in metres")
     parser.add_argument("--seed", type=int, metavar="N", help="seed of all strokes; default: each stroke's own")
     parser.add_argument("--plan", action="store_true", help="say what would be done, skipped and why; do nothing")
@@ -110,6 +117,7 @@ def request_from(arguments: argparse.Namespace) -> TouchRequest:
         plan_only=arguments.plan,
         as_json=arguments.json,
         probes=tuple(arguments.probes),
+        encoder=arguments.encoder,
     )
 
 
