@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import HnfError, UsageError
+from .eval_alignment import add_parser as _add_alignment
 from .progress import Progress, ProgressBar
 
-SUBJECTS: tuple[Callable[[Any], object], ...] = ()
+SUBJECTS: tuple[Callable[[Any], object], ...] = (_add_alignment,)
 """What else can be measured: each adds a parser that names its own runner as the default of `run`."""
 
 

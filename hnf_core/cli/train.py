@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 from ..errors import HnfError, UsageError
 from ..field.weights import save_field
 from .progress import Progress, ProgressBar
+from .train_alignment import add_parser as _add_alignment
+from .train_encoder import add_parser as _add_encoder
 from .train_tactile_map import add_parser as _add_tactile_map
 
 if TYPE_CHECKING:
@@ -26,7 +28,7 @@ LICENCES = {
     "lmt": "trained on the LMT haptic texture database: its own terms apply",
     "simulated": "GPL-3.0-or-later",
 }
-SUBJECTS: tuple[Callable[[Any], object], ...] = (_add_tactile_map,)
+SUBJECTS: tuple[Callable[[Any], object], ...] = (_add_tactile_map, _add_encoder, _add_alignment)
 """What else can be trained: each adds a parser that names its own runner as the default of `run`."""
 
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 Float = NDArray[np.float64]
 Rows = NDArray[np.int64]
-RIDGES = (1e-5, 1e-4, 1e-3, 1e-2)
+STEPS = 300
+RIDGES = (1e-4, 1e-3, 1e-2)
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ def fit_probe(x: NDArray[Any], label: Rows, classes: int, ridge: float) -> Probe
         return value, np.concatenate([weight, bias[None]]).ravel()
 
     start = np.zeros((inputs.shape[1] + 1) * classes)
-    flat = minimize(cost, start, jac=True, method="L-BFGS-B", options={"maxiter": 500, "gtol": 1e-6}).x
+    flat = minimize(cost, start, jac=True, method="L-BFGS-B", options={"maxiter": STEPS, "gtol": 1e-6}).x
     solved = flat.reshape(-1, classes)
     return Probe(solved[:-1], solved[-1], mean, scale)
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from math import cos, pi
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,7 +17,7 @@ from ...errors import UsageError
 from ...files import content_hash
 from ..checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from .batches import training_batch
-from .encoders import RESNET50, Architecture, Encoder
+from .encoders import RESNET50, Architecture, Encoder, load_trunk
 from .gradient_cache import cached_backward
 from .info_nce import TEMPERATURE, info_nce
 from .tuples import Tuples
@@ -75,11 +76,18 @@ class Fitted:
     history: Float
 
 
-def fit(tuples: Tuples, recipe: Recipe, checkpoint: Path | None = None, watch: Watch = lambda *_: None) -> Fitted:
+def fit(
+    tuples: Tuples,
+    recipe: Recipe,
+    checkpoint: Path | None = None,
+    watch: Watch = lambda *_: None,
+    start: Mapping[Any, Any] | None = None,
+) -> Fitted:
     """Train two encoders on tuples (their labels are not looked at).
 
     checkpoint: file to go on from and to write to every few minutes; one of another recipe or of other tuples is passed
-    over. watch(progress, loss) after every step. Raises UsageError for fewer tuples than a batch.
+    over. watch(progress, loss) after every step. start: state dict of a trunk that both encoders start from
+    (ImageNet's). Raises UsageError for fewer tuples than a batch.
     """
     if len(tuples) < recipe.batch:
         raise UsageError(
@@ -90,6 +98,9 @@ def fit(tuples: Tuples, recipe: Recipe, checkpoint: Path | None = None, watch: W
     found = None if checkpoint is None else load_checkpoint(checkpoint, fingerprint)
     if found is not None:
         run.restore(found)
+    elif start is not None:
+        for encoder in (run.vision, run.touch):
+            load_trunk(encoder, start, "the trunk to start from")
     written = time.monotonic()
     while (progress := recipe.progress(len(run.history), run.seconds)) < 1.0:
         loss = run.step(progress)
@@ -98,6 +109,12 @@ def fit(tuples: Tuples, recipe: Recipe, checkpoint: Path | None = None, watch: W
             save_checkpoint(checkpoint, run.saved(), fingerprint)
             written = time.monotonic()
     return Fitted(run.vision.eval(), run.touch.eval(), np.array(run.history).reshape(-1, 3))
+
+
+def use_threads(threads: int) -> str:
+    """Let torch use so many; its version."""
+    torch.set_num_threads(threads)
+    return str(torch.__version__)
 
 
 class _Run:
@@ -145,7 +162,7 @@ class _Run:
             return float(cached_backward([self.vision, self.touch], inputs, loss, recipe.chunk))
         value = loss(self.vision(inputs[0]), self.touch(inputs[1]))
         value.backward()  # type: ignore[no-untyped-call]
-        return float(value)
+        return float(value.detach())
 
     def _rows(self, number: int) -> NDArray[np.int64]:
         """Of one batch: every epoch goes through all tuples in an order of its own, the last few left out."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...datasets.photographs import middle_square, resized
 from ...datasets.tactile_pairs import PAIR_SENSORS, Pairs, encoded_rgb
 from ...datasets.vision_touch import VisionTouchPair
 from ...errors import UsageError
@@ -85,21 +86,29 @@ def _pieces(pairs: Pairs) -> list[tuple[str, int, int]]:
     ]
 
 
-def recorded(pairs: Sequence[VisionTouchPair], classes: Sequence[str], pixels: int = VIEW_PIXELS) -> Tuples:
+def recorded(pairs: Iterable[VisionTouchPair], classes: Sequence[str], pixels: int = VIEW_PIXELS) -> Tuples:
     """Tuples of recordings: centred squares brought to `pixels`, the background taken off each touch, or its own mean
-    where the untouched sensor was not recorded. Raises UsageError where there is none."""
-    if not pairs:
-        raise UsageError("there are no vision–touch pairs here.")
+    where the untouched sensor was not recorded. Pictures are kept small, one pair at a time is kept large.
+
+    Raises UsageError where there is none.
+    """
     index = {name: number for number, name in enumerate(classes)}
-    places = {place: number for number, place in enumerate(dict.fromkeys(pair.where for pair in pairs))}
-    looks = np.stack([encoded_rgb(squared(pair.rgb, pixels)) for pair in pairs])
-    touches = np.stack([squared(_pressed(pair), pixels) for pair in pairs]).astype(np.float16)
+    places: dict[str, int] = {}
+    looks, touches, sensor, label, group = [], [], [], [], []
+    for pair in pairs:
+        looks.append(encoded_rgb(resized(middle_square(pair.rgb), pixels)))
+        touches.append(resized(middle_square(_pressed(pair)), pixels).astype(np.float16))
+        sensor.append(PAIR_SENSORS.index(pair.sensor))
+        label.append(index.get(pair.label or "", NO_LABEL))
+        group.append(places.setdefault(pair.where, len(places)))
+    if not looks:
+        raise UsageError("there are no vision–touch pairs here.")
     return Tuples(
-        RecordedPictures(looks, touches),
-        np.arange(len(pairs)),
-        np.array([PAIR_SENSORS.index(pair.sensor) for pair in pairs], dtype=np.int64),
-        np.array([index.get(pair.label or "", NO_LABEL) for pair in pairs], dtype=np.int64),
-        np.array([places[pair.where] for pair in pairs], dtype=np.int64),
+        RecordedPictures(np.stack(looks), np.stack(touches)),
+        np.arange(len(looks)),
+        np.array(sensor, dtype=np.int64),
+        np.array(label, dtype=np.int64),
+        np.array(group, dtype=np.int64),
         tuple(classes),
     )
 
@@ -107,17 +116,3 @@ def recorded(pairs: Sequence[VisionTouchPair], classes: Sequence[str], pixels: i
 def _pressed(pair: VisionTouchPair) -> NDArray[np.float32]:
     untouched = pair.touch.mean(axis=(0, 1)) if pair.background is None else pair.background
     return np.asarray(pair.touch - untouched, dtype=np.float32)
-
-
-def squared(picture: NDArray[np.float32], pixels: int) -> NDArray[np.float32]:
-    """(pixels, pixels, 3): the centred square of a picture (H, W, 3), smoothed as far as it is made smaller."""
-    import torch
-    from torch.nn import functional
-
-    side = min(picture.shape[:2])
-    top, left = (picture.shape[0] - side) // 2, (picture.shape[1] - side) // 2
-    square = torch.from_numpy(np.ascontiguousarray(picture[top : top + side, left : left + side]))
-    small = functional.interpolate(
-        square.permute(2, 0, 1)[None], (pixels, pixels), mode="bilinear", antialias=True, align_corners=False
-    )
-    return np.asarray(small[0].permute(1, 2, 0).numpy())

@@ -28,7 +28,7 @@ def load_trunk(path: Path) -> tuple[dict[str, Tensor], str]:
         data = path.read_bytes()
     except OSError as error:
         raise FileError(f"cannot read the trunk ({error.strerror}).", where=str(path), remedy=_REMEDY) from error
-    state = _state(path)
+    state = read_state_dict(path, _REMEDY)
     wanted = trunk_shapes()
     missing = sorted(set(wanted) - set(state))
     strange = sorted(name for name in set(state) - set(wanted) if not str(name).startswith("classifier."))
@@ -48,7 +48,9 @@ def load_trunk(path: Path) -> tuple[dict[str, Tensor], str]:
     return out, hashlib.sha256(data).hexdigest()
 
 
-def _state(path: Path) -> dict[Any, Any]:
+def read_state_dict(path: Path, remedy: str) -> dict[Any, Any]:
+    """Names and values of a .safetensors file, or of a .pth file read as data. Raises WeightsError, which tells the
+    remedy, where it is neither."""
     try:
         if path.suffix == ".safetensors":
             from safetensors.torch import load_file
@@ -57,8 +59,8 @@ def _state(path: Path) -> dict[Any, Any]:
         found = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch and safetensors raise many kinds on foreign files
         raise WeightsError(
-            f"damaged or not a file of weights ({str(error).splitlines()[0][:120]}).", where=str(path), remedy=_REMEDY
+            f"damaged or not a file of weights ({str(error).splitlines()[0][:120]}).", where=str(path), remedy=remedy
         ) from error
     if not isinstance(found, dict):
-        raise WeightsError(f"holds a {type(found).__name__}, not a state dict.", where=str(path), remedy=_REMEDY)
+        raise WeightsError(f"holds a {type(found).__name__}, not a state dict.", where=str(path), remedy=remedy)
     return found
