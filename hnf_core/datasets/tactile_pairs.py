@@ -24,7 +24,7 @@ TRAIN, HELD_OUT_INSTANCES, HELD_OUT_CLASSES = SPLITS = ("train", "held-out-insta
 PAIR_SENSORS = ("gelsight", "digit")
 """The second axis of Pairs.slopes, names in tactile.optics.SENSORS."""
 UNSEEN_CLASSES = tuple({category_of(name): name for name in classes()}.values())
-"""The last class of every category in the table, as training.recipe.HELD_OUT: met in held-out-classes only."""
+"""The last class of every category in the table: met in held-out-classes only, as the field's held-out weights do."""
 _AGAIN = "Make the pairs again: tools/make_tactile_pairs.py continues where it stopped."
 
 

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from .. import simulation as simulation_room
 from ..action.smooth import steady_action
+from ..datasets.tactile_pairs import UNSEEN_CLASSES
 from ..field.field import Field, FieldConfig
 from ..field.ranges import Ranges, ranges_of
 from ..material import contact
-from ..simulation.classes import category_of, classes
 from .conditions import speed_grid
 from .fit import Schedule, fit, training_set
 from .gathering import Gathered, Sizes, gather, load_gathered, save_gathered, specimens_of
@@ -52,7 +52,7 @@ class Plan:
     elsewhere: int = 4
 
 
-HELD_OUT = tuple({category_of(name): name for name in classes()}.values())
+HELD_OUT = UNSEEN_CLASSES
 """The last class of every category in the table: what a field is asked about that was trained without them."""
 
 
