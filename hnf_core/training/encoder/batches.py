@@ -120,7 +120,7 @@ def turned(slopes: Single, token: NDArray[np.float64], turn: NDArray[np.int64]) 
         for _ in range(int(way) & 3):
             gx, gy = -np.rot90(gy), np.rot90(gx)
             bands[row] *= QUARTER
-        slopes[row, 0], slopes[row, 1] = gx, gy
+        slopes[row] = np.stack([gx, gy])
     token[:, :-2] = bands.reshape(len(token), -1)
     return slopes, token
 

@@ -37,7 +37,8 @@ class Schedule:
     narrow: bool = True
 
 
-SPREAD_VIEWS = 2048
+FIRST_VIEWS, SETTLING_VIEWS = 1024, 256
+"""Views that the units of the outputs, and the scale of the first weights, are taken from."""
 SMALLEST_SPREAD = 0.02
 HUBER = 0.2
 """In units of spread: below it errors count as squares, above as they are: chance peaks must not lead."""
@@ -63,7 +64,7 @@ def fit(
         twin.load_state_dict(trunk, strict=False)
         twin.features.requires_grad_(False)
     lamps = scattered_lamps(seed)
-    _set_spread(twin, pairs, lamps, seed)
+    _set_out(twin, pairs, lamps, seed)
     twin.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     learnt = [parameter for parameter in twin.parameters() if parameter.requires_grad]
     optimiser = torch.optim.AdamW(learnt, lr=schedule.learning_rate, weight_decay=schedule.decay)
@@ -102,12 +103,13 @@ def loss_of(twin: AlexNetTwin, found: Tensor, target: Tensor, level_weight: floa
     return (each * weight).mean() / weight.mean()
 
 
-def _set_spread(twin: AlexNetTwin, pairs: Pairs, lamps: Lamps, seed: int) -> None:
+def _set_out(twin: AlexNetTwin, pairs: Pairs, lamps: Lamps, seed: int) -> None:
+    """Units of the outputs, and layers that start where they can learn."""
     rng = np.random.default_rng([seed, 2])
-    count = max(1, min(SPREAD_VIEWS, len(pairs)))
-    target = make_batch(pairs, rng.choice(len(pairs), count, replace=False), lamps, rng).target
-    twin.output_mean.copy_(target.mean(dim=0))
-    twin.output_spread.copy_(target.std(dim=0, correction=0).clamp(min=SMALLEST_SPREAD))
+    batch = make_batch(pairs, rng.integers(0, len(pairs), FIRST_VIEWS), lamps, rng)
+    twin.output_mean.copy_(batch.target.mean(dim=0))
+    twin.output_spread.copy_(batch.target.std(dim=0, correction=0).clamp(min=SMALLEST_SPREAD))
+    twin.settle(batch.views[:SETTLING_VIEWS], batch.given[:SETTLING_VIEWS])
 
 
 def _done(schedule: Schedule, step: int, seconds: float) -> float:

@@ -57,11 +57,15 @@ class AlexNetTwin(nn.Module):
 
     def pooled(self, views: Tensor) -> Tensor:
         """(n, FEATURES) trunk features averaged over positions."""
+        found: Tensor = self.features(self.picture(views))
+        return found.float().mean(dim=(2, 3))
+
+    def picture(self, views: Tensor) -> Tensor:
+        """What the trunk sees: views as pictures, in the units it was trained on, enlarged."""
         picture = (PICTURE_GREY + PICTURE_CONTRAST * views - self.mean) / self.deviation
         if self.matrix is not None:
             picture = self.matrix @ picture @ self.matrix.T
-        found: Tensor = self.features(picture.contiguous(memory_format=torch.channels_last))
-        return found.float().mean(dim=(2, 3))
+        return picture.contiguous(memory_format=torch.channels_last)
 
     def forward(self, views: Tensor, given: Tensor) -> Tensor:
         """In units of each output's spread about its mean."""
@@ -83,6 +87,25 @@ class AlexNetTwin(nn.Module):
         with torch.no_grad():
             last.weight.mul_(0.1)
 
+    @torch.no_grad()
+    def settle(self, views: Tensor, given: Tensor) -> None:
+        """Scale every trainable layer but the last so that on these views each of its units has mean 0 and deviation 1
+        before the rectifier (Krähenbühl et al. 2016): a plain deep network of no normalisation starts to learn at once.
+        """
+        x = self.picture(views)
+        for module in self.features:
+            if isinstance(module, nn.Conv2d) and module.weight.requires_grad:
+                _standardise(module, module(x).transpose(0, 1).flatten(1).T)
+            x = module(x)
+        first = self.head[0]
+        assert isinstance(first, nn.Linear)
+        joined = torch.cat([x.mean(dim=(2, 3)), given], dim=1)
+        # Averages over positions hardly differ between views: each is brought to order 1, as the conditions are.
+        mean, spread = joined.mean(dim=0), joined.std(dim=0).clamp(min=1e-3)
+        first.weight.div_(spread)
+        first.bias.sub_(first.weight @ mean)
+        _standardise(first, first(joined))
+
     def to_numpy(self, metadata: Mapping[str, str]) -> AlexNet:
         """The run-time network with these tensors."""
         state = {name: value.detach().float().numpy().copy() for name, value in self.state_dict().items()}
@@ -94,6 +117,14 @@ def twin_of(network: AlexNet) -> AlexNetTwin:
     twin = AlexNetTwin(network.design)
     twin.load_state_dict({name: torch.tensor(np.asarray(value)) for name, value in network.tensors.items()})
     return twin
+
+
+def _standardise(layer: nn.Conv2d | nn.Linear, found: Tensor) -> None:
+    """found: (n, units) of what the layer gives now."""
+    spread = found.std(dim=0).clamp(min=1e-3)
+    assert layer.bias is not None
+    layer.weight.div_(spread.reshape(-1, *[1] * (layer.weight.dim() - 1)))
+    layer.bias.sub_(found.mean(dim=0)).div_(spread)
 
 
 def _trunk() -> list[nn.Module]:

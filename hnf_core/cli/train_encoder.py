@@ -1,0 +1,76 @@
+"""`hnf train encoder`: E as a network, on pairs that the project makes; with the user's own trunk its head alone."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from ..errors import HnfError, UsageError
+from .progress import Progress, ProgressBar
+
+PERCENT = 100
+
+
+def add_parser(subjects: Any) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = subjects.add_parser(
+        "encoder",
+        help="the network that turns views of a touch sensor into tokens",
+        description="Train AlexNet's trunk and a head on pairs written by tools/make_tactile_pairs.py, or with --trunk "
+        "the head alone on a trunk of yours (torchvision's alexnet, .pth or .safetensors). Use the result with "
+        "--encoder FILE. Needs the extra [train].",
+    )
+    parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="folder of the pairs")
+    parser.add_argument("--trunk", type=Path, metavar="FILE", help="convolutions to take as they are")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="weights to write (.safetensors)")
+    parser.add_argument("--steps", type=int, metavar="N", help="batches of 64 views (default 12000; with --trunk 3000)")
+    parser.add_argument("--minutes", type=float, metavar="M", help="stop after so long, if that is sooner")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of weights, lamps and noise")
+    parser.add_argument("--partial", action="store_true", help="train on the shards that are there already")
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    parser.set_defaults(run=run)
+    return parser
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Raises HnfError; returns the exit code."""
+    if arguments.seed < 0:
+        raise UsageError("--seed must be a whole number from 0.")
+    if arguments.steps is not None and arguments.steps < 1:
+        raise UsageError("--steps must be a whole number from 1.")
+    if arguments.minutes is not None and not 0.0 < arguments.minutes < float("inf"):
+        raise UsageError("--minutes must be positive.")
+    if arguments.out.suffix != ".safetensors":
+        raise UsageError(f"--out {arguments.out.name}: weights are .safetensors files.", remedy="Name it so.")
+    try:
+        from ..training.encoder.fit import Schedule
+        from ..training.encoder.recipe import train_encoder
+    except ImportError as error:
+        raise HnfError(
+            f"training needs torch ({error}).",
+            remedy="In a checkout: make env-test; elsewhere: pip install 'hnf[train]'.",
+        ) from error
+    from ..material.alexnet.weights import save_encoder
+
+    steps = arguments.steps or (Schedule().steps if arguments.trunk is None else 3000)
+    bar = ProgressBar()
+
+    def watch(step: int, share: float, loss: float) -> None:
+        bar.show(Progress(f"step {step}, loss {loss:.4f}", min(int(PERCENT * share), PERCENT), PERCENT))
+
+    try:
+        trained = train_encoder(
+            arguments.data,
+            Schedule(steps=steps, minutes=arguments.minutes),
+            arguments.seed,
+            trunk=arguments.trunk,
+            partial=arguments.partial,
+            watch=watch,
+        )
+    finally:
+        bar.close()
+    save_encoder(arguments.out, trained.network)
+    record = {"weights": str(arguments.out), **trained.network.metadata}
+    print(json.dumps(record, indent=1) if arguments.json else "\n".join(f"{k}: {v}" for k, v in record.items()))
+    return 0

@@ -1,0 +1,78 @@
+"""From pairs to an encoder: `hnf train encoder`, and how the shipped weights come about."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ...datasets.tactile_pairs import HELD_OUT_INSTANCES, TRAIN, load_pairs
+from ...errors import FileError
+from ...material.alexnet.network import IMAGENET_DEVIATION, IMAGENET_MEAN, AlexNet, Design
+from ...material.alexnet.reading import describe_by_alexnet
+from ...material.alexnet.weights import ALEXNET_ID
+from ...material.encoders import Encoder
+from .fit import Schedule, Watch, fit
+from .judge import Errors, errors_in_words, judge
+from .trunk_file import load_trunk
+
+LICENCE = "GPL-3.0-or-later"
+USERS_LICENCE = "the trunk's own terms apply; the head: GPL-3.0-or-later"
+JUDGED_VIEWS = 400
+"""Views of held-out instances that the metrics in the weights come from, evenly from all."""
+USERS_PIXELS = 128
+"""Views are enlarged to this for a trunk that was trained on photographs of 224 pixels."""
+
+
+@dataclass(frozen=True)
+class TrainedEncoder:
+    """errors: on held-out instances, None where the folder has none."""
+
+    network: AlexNet
+    errors: Errors | None
+
+
+def train_encoder(
+    folder: Path,
+    schedule: Schedule,
+    seed: int,
+    *,
+    trunk: Path | None = None,
+    design: Design | None = None,
+    partial: bool = False,
+    watch: Watch | None = None,
+) -> TrainedEncoder:
+    """Train on the pairs in folder: everything, or with a trunk file the head alone. Raises FileError, WeightsError.
+
+    partial: train on the shards that are there.
+    """
+    pairs = load_pairs(folder, TRAIN, partial=partial)
+    if trunk is None:
+        design, weights, source = design or Design(), None, "trunk and head trained together"
+    else:
+        design = design or Design(pixels=USERS_PIXELS, mean=IMAGENET_MEAN, deviation=IMAGENET_DEVIATION)
+        weights, digest = load_trunk(trunk)
+        source = f"trunk of {trunk.name} (SHA-256 {digest}) as it is, head trained"
+    twin = fit(design, pairs, schedule, seed, trunk=weights, watch=watch)
+    metadata = {
+        "training_data": f"{len(pairs)} views of {pairs.tiles} tiles made by this project's generator of surfaces; "
+        f"no recorded data; {source}",
+        "seed": str(seed),
+        "licence": LICENCE if trunk is None else USERS_LICENCE,
+    }
+    network = twin.to_numpy(metadata)
+    errors = _judged(network, folder, partial)
+    if errors is not None:
+        words = f"single views of held-out instances against their whole tiles: {errors_in_words(errors)}"
+        network = AlexNet(network.design, network.tensors, {**metadata, "metrics": words})
+    return TrainedEncoder(network, errors)
+
+
+def _judged(network: AlexNet, folder: Path, partial: bool) -> Errors | None:
+    try:
+        held = load_pairs(folder, HELD_OUT_INSTANCES, partial=partial)
+    except FileError:
+        if partial:
+            return None
+        raise
+    rows = range(0, len(held), max(1, len(held) // JUDGED_VIEWS))
+    return judge(Encoder(ALEXNET_ID, "", lambda each: describe_by_alexnet(network, each)), held, rows)

@@ -1,0 +1,194 @@
+"""`hnf train encoder` by its words, on a handful of views that the test makes; and the laws of its batches."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from alexnet_parts import random_tensors, trunk_names
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hnf_core.cli.main import main
+from hnf_core.datasets.tactile_pairs import HELD_OUT_INSTANCES, TRAIN, Pairs, save_shard, shard_path
+from hnf_core.material.alexnet.network import LEVEL_AT, Design
+from hnf_core.material.alexnet.weights import load_encoder
+from hnf_core.material.encoder import describe
+from hnf_core.material.encoders import encoder_by_name
+from hnf_core.material.token import ENCODER_ID, LEVELS, TOKEN_DIM
+from hnf_core.tactile.height import tactile_map_from_height
+from hnf_core.tactile.optics import SENSORS, gel_gradients
+from hnf_core.tactile.views import PITCHES_M
+
+torch = pytest.importorskip("torch", reason="training needs the extra [train]")
+from hnf_core.training.encoder.batches import faint_levels_raised, make_batch, scattered_lamps, turned  # noqa: E402
+from hnf_core.training.encoder.fit import Schedule, fit  # noqa: E402
+from hnf_core.training.encoder.judge import errors_of, judge  # noqa: E402
+
+PITCH = 20e-3 / 64
+
+
+def height(seed: int, rms_m: float = 2e-5) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    fy, fx = np.fft.fftfreq(64)[:, None], np.fft.rfftfreq(64)[None, :]
+    f = np.hypot(fx, rng.uniform(0.5, 2.0) * fy)
+    sheet = np.fft.irfft2(np.fft.rfft2(rng.standard_normal((64, 64))) * (f < 0.4) / np.maximum(f, 0.04), (64, 64))
+    return rms_m * (sheet - sheet.mean()) / sheet.std()
+
+
+def some_pairs(count: int, seed: int = 0) -> Pairs:
+    """Widest views only; a tile's token is that of its one view."""
+    heights = [height(seed + index) for index in range(count)]
+    slopes = [[gel_gradients(each, PITCH, SENSORS[name]) for name in ("gelsight", "digit")] for each in heights]
+    tokens = [describe(tactile_map_from_height(each, None, PITCH, 2 * PITCH)).values for each in heights]
+    rows = np.arange(count)
+    return Pairs(
+        rgb=np.zeros((count, 64, 64, 3), dtype=np.uint8),
+        depth=np.zeros((count, 64, 64), dtype=np.float16),
+        height=(np.array(heights) / PITCH).astype(np.float16),
+        slopes=np.array(slopes, dtype=np.float16),
+        pitch_index=np.zeros(count, dtype=np.int64),
+        tile_index=rows,
+        class_name=("denim",) * count,
+        instance_seed=rows,
+        tile_seed=rows,
+        patch=0 * rows,
+        token=np.array(tokens, dtype=np.float32),
+        mechanics=np.full((count, 3), np.nan, dtype=np.float32),
+        turn=0 * rows,
+        unlit=np.zeros(count, dtype=bool),
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("pairs")
+    save_shard(shard_path(root, TRAIN, 0), some_pairs(12), shards=1, key="test")
+    save_shard(shard_path(root, HELD_OUT_INSTANCES, 0), some_pairs(3, seed=50), shards=1, key="test")
+    return root
+
+
+def hnf(*words) -> int:
+    def no_blender(arguments):
+        raise AssertionError("train needs no Blender")
+
+    return main([str(word) for word in words], no_blender)
+
+
+def test_an_encoder_is_trained_judged_and_can_be_used(folder: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "e.safetensors"
+    assert hnf("train", "encoder", "--data", folder, "--out", out, "--steps", 2, "--json") == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["training_data"].startswith("12 views of 12 tiles")
+    assert "dB RMS" in record["metrics"]
+    assert load_encoder(out).metadata["metrics"] == record["metrics"]
+    token = encoder_by_name(str(out)).describe(tactile_map_from_height(height(9), None, PITCH, 2 * PITCH))
+    assert token.known[LEVELS].sum() == 4
+    assert np.isfinite(token.values).all()
+
+
+def test_with_a_trunk_only_the_head_is_trained(folder: Path, tmp_path: Path, capsys) -> None:
+    tensors = {name: torch.tensor(random_tensors(Design(), 4)[name]) for name in trunk_names()}
+    torch.save({**tensors, "classifier.6.bias": torch.zeros(1000)}, tmp_path / "alexnet.pth")
+    out = tmp_path / "e.safetensors"
+    words = ("--data", folder, "--trunk", tmp_path / "alexnet.pth", "--out", out, "--steps", 2)
+    assert hnf("train", "encoder", *words) == 0
+    assert "SHA-256" in capsys.readouterr().out
+    network = load_encoder(out)
+    assert all(np.array_equal(network.tensors[name], tensors[name].numpy()) for name in tensors)
+    assert network.design.mean == (0.485, 0.456, 0.406)
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "told"),
+    [
+        (("--out", "e.pth"), 2, "are .safetensors files"),
+        (("--out", "e.safetensors", "--steps", "0"), 2, "--steps"),
+        (("--out", "e.safetensors", "--minutes", "nan"), 2, "--minutes"),
+        (("--out", "e.safetensors", "--seed", "-1"), 2, "--seed"),
+        (("--out", "e.safetensors", "--trunk", "absent.pth"), 1, "cannot read the trunk"),
+    ],
+)
+def test_wrong_words_are_told_and_cost_nothing(folder: Path, tmp_path: Path, capsys, monkeypatch, words, status, told):
+    monkeypatch.chdir(tmp_path)
+    assert hnf("train", "encoder", "--data", folder, *words) == status
+    assert told in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_without_pairs_is_told(tmp_path: Path, capsys) -> None:
+    assert hnf("train", "encoder", "--data", tmp_path, "--out", tmp_path / "e.safetensors") == 1
+    assert "no tactile pairs" in capsys.readouterr().err
+
+
+def test_training_repeats_itself_and_lowers_the_loss() -> None:
+    pairs, schedule = some_pairs(4), Schedule(steps=60, batch=16)
+    watched: list[list[float]] = []
+    states = []
+    for steps in (3, 3, 60):
+        losses: list[float] = []
+        twin = fit(
+            Design(hidden=32), pairs, replace(schedule, steps=steps), 1, watch=lambda *now, to=losses: to.append(now[2])
+        )
+        watched.append(losses)
+        states.append(twin.state_dict())
+    assert watched[0] == watched[1]
+    assert all(torch.equal(states[0][name], states[1][name]) for name in states[0])
+    assert np.mean(watched[2][-15:]) < np.mean(watched[2][:15])
+
+
+@settings(max_examples=16, deadline=None)
+@given(st.integers(0, 2**16), st.integers(0, 7))
+def test_a_turned_surface_has_the_turned_token(seed, way):
+    """Turning the membrane and turning its token is turning the heights, for all eight ways."""
+    surface = height(seed)
+    moved = surface[:, ::-1] if way & 4 else surface
+    moved = np.rot90(moved, way & 3)
+    slopes = np.array(gel_gradients(surface, PITCH, SENSORS["gelsight"]), dtype=np.float32)
+    token = describe(tactile_map_from_height(surface, None, PITCH, 2 * PITCH)).values.astype(np.float64)
+    got_slopes, got_token = turned(slopes[None], token[None], np.array([way]))
+    expected = describe(tactile_map_from_height(moved, None, PITCH, 2 * PITCH)).values
+    np.testing.assert_allclose(got_token[0], expected, atol=2e-3)
+    # The gel's padding treats opposite edges alike only in the middle.
+    middle = slice(16, -16)
+    np.testing.assert_allclose(
+        got_slopes[0][:, middle, middle],
+        np.array(gel_gradients(moved, PITCH, SENSORS["gelsight"]))[:, middle, middle],
+        atol=2e-3,
+    )
+
+
+def test_a_batch_depends_on_its_seed_alone_and_is_of_order_one():
+    pairs, lamps = some_pairs(6), scattered_lamps(0, 4)
+    first, again = (make_batch(pairs, np.arange(6), lamps, np.random.default_rng(3)) for _ in range(2))
+    assert torch.equal(first.views, again.views)
+    assert torch.equal(first.target, again.target)
+    np.testing.assert_allclose(first.views.square().mean(dim=(1, 2, 3)), 1.0, atol=1e-4)
+    assert first.given.abs().max() < 5.0
+    assert len(LEVEL_AT) == 4
+
+
+@given(st.lists(st.floats(-9, 0), min_size=4, max_size=4))
+def test_what_no_picture_shows_is_not_taught(levels):
+    target = np.zeros((1, 30))
+    target[0, LEVEL_AT] = levels
+    raised = faint_levels_raised(target)[0, LEVEL_AT]
+    assert raised.max() == max(levels)
+    assert raised.min() >= max(levels) - 3.0
+    assert all(after == before for after, before in zip(raised, levels, strict=True) if before >= max(levels) - 3.0)
+
+
+def test_the_descriptor_is_faultless_on_tiles_that_it_described():
+    pairs = some_pairs(4)
+    errors = judge(encoder_by_name(ENCODER_ID), pairs)
+    assert np.nanmax(errors.level_db) < 0.1
+    assert np.isnan(errors.level_db[4:]).all()
+    shifted = pairs.token.astype(np.float64)
+    shifted[:, LEVELS] += 0.05
+    found = errors_of(shifted, np.ones((4, TOKEN_DIM), dtype=bool), pairs.token.astype(np.float64))
+    np.testing.assert_allclose(found.level_db[:4], 1.0, atol=1e-4)
+    assert found.median_level_db == pytest.approx(1.0, abs=1e-4)
+    assert len(PITCHES_M) == 4
