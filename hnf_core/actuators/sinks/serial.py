@@ -175,9 +175,9 @@ class SerialSink:
         with suppress(Exception):
             serial.write(self._encoder.encode(Stop()) + self._encoder.encode(Bye()))
             for _ in range(20):
+                time.sleep(0.002)  # first: a pty says at once that nothing waits, and dropping would drop the STOP
                 if not serial.out_waiting:
                     break
-                time.sleep(0.002)
         with suppress(Exception):
             serial.reset_output_buffer()
         if self._reader is not None:
