@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+from .. import compat
 from .appearance import BSDFS
 from .node_graph import NodeGraph
 from .shader_height import displaces, normal_chain
@@ -40,7 +41,7 @@ class ColourSources:
 
 def shows(material: Any) -> Shows:
     """Without a copy and without a render. A node group that stands in a material twice is read once."""
-    if material is None or material.node_tree is None or not material.use_nodes:
+    if material is None or not compat.use_nodes(material):
         return Shows.NOTHING
     graph = NodeGraph(material, own_groups=False)
     if has_relief(graph):

@@ -50,6 +50,7 @@ def from_normal_input(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeo
     if end is None:
         return MicroGeometry(reliefs)
     _check_normal_map(end.node, tapper.graph, notes)
+    images: tuple[ImageTap, ...]
     if end.node.bl_idname == IMAGE:
         images, procedural = (image_tap(end.node, tapper),), False
     else:

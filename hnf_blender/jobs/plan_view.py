@@ -5,11 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from hnf_core.tactile.tactile_map import Route
+
 from ..bridge.storage import token_bytes
 from ..bridge.strokes import stroke_objects
 from ..state.session import STATE, Freshness, PlanLine, PlanView, StrokeStatus
 from ..touch.jobs import Gathered, Job, Session, gather_curves, look_around
-from ..touch.plan import CLOSEUP_SECONDS, SYNTHESIS_SECONDS, patches_at_most
+from ..touch.plan import CLOSEUP_SECONDS, PREDICTION_SECONDS, SYNTHESIS_SECONDS, patches_at_most
+from ..touch.routes import slot_plans
 from ..touch.stored import judge, stored_bytes
 from ..translations import tr
 from .work import is_done, scene_session
@@ -29,14 +32,17 @@ def make_plan(scene: Any, view_layer: Any) -> PlanView:
     lines: list[PlanLine] = []
     stroke = tr("stroke '{name}'")
     seconds, needed = 0.0, []
+    estimated: dict[str, None] = {}
     for job in found.jobs:
         curve = scene.objects[job.curve_name]
         status = STATE.strokes[curve.name] = judge(curve, job)
         if status.freshness is Freshness.FORCE or is_done(session, job):
             lines.append(PlanLine("fresh", stroke.format(name=job.name), status.why))
             continue
-        length = 0.0 if job.stroke is None else job.stroke.length_m
-        seconds += patches_at_most(length) * CLOSEUP_SECONDS + SYNTHESIS_SECONDS
+        patches = patches_at_most(0.0 if job.stroke is None else job.stroke.length_m)
+        pictured = [slot for slot in slot_plans(session, job) if slot.route is Route.PREDICTED]
+        estimated.update(dict.fromkeys(slot.material for slot in pictured))
+        seconds += patches * (CLOSEUP_SECONDS + (PREDICTION_SECONDS if pictured else 0.0)) + SYNTHESIS_SECONDS
         needed.append(job)
         what = tr("stroke '{name}' on '{surface}'").format(name=job.name, surface=job.object_name)
         lines.append(PlanLine("needed", what, _why(status)))
@@ -47,6 +53,8 @@ def make_plan(scene: Any, view_layer: Any) -> PlanView:
         lines.append(PlanLine("failed", stroke.format(name=failure.stroke), failure.why))
     lines += [PlanLine("skipped", each.what, tr(each.why)) for each in found.skipped]
     lines += [PlanLine("note", note, "") for note in found.notes]
+    said = tr("material '{name}': it has no relief; one is estimated from its picture.")
+    lines += [PlanLine("note", said.format(name=name), "") for name in estimated]
     return PlanView(tuple(lines), seconds, _bytes_after(session, found, needed), scene.name)
 
 

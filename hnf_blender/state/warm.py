@@ -21,6 +21,8 @@ def _load() -> None:
     from hnf_core.material.library import load_library
 
     from ..jobs import running  # noqa: F401  # all that a look or a bake imports
+    from ..touch.seeing import Seeing
 
     load_field()
     load_library()
+    _ = Seeing().weights_hash  # the file is read once for it

@@ -1,17 +1,18 @@
-"""Patches of a stroke → height, token, shading values: from the store where they are fresh, from a close-up else."""
+"""Patches of a stroke → height or picture, token, shading values: from the store where they are fresh, from a close-up
+and the networks else."""
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Collection, Generator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hnf_core.files import content_hash
-from hnf_core.material.encoder import describe
+from hnf_core.material.encoders import Encoder
 from hnf_core.material.hnf_file import MaterialFile
 from hnf_core.material.material import Appearance
 from hnf_core.material.token import ENCODER_ID, Token
@@ -21,13 +22,13 @@ from hnf_core.tactile.optics import render_sensor_image, sensor_by_name
 from hnf_core.tactile.tactile_map import Route, TactileMap
 
 from ..bridge.closeup import CloseUp, iter_closeups
-from ..bridge.meshes import Surface, ray_caster
+from ..bridge.meshes import Surface
 from .report import Counts
-from .store import STORE_VERSION, PatchRecord, load_patch, save_patch
+from .seeing import SENSOR, Seeing, predicted_maps
+from .store import STORE_VERSION, PatchRecord, load_patch, load_prediction, save_patch, save_prediction
 
 PATCH_PIXELS = 512
 """39 µm a pixel on 20 mm: two pixels resolve the finest band of a token (0.125 mm)."""
-SENSOR = "gelsight"
 
 
 @dataclass(frozen=True)
@@ -46,49 +47,77 @@ class TouchedObject:
     chosen: tuple[str | MaterialFile, ...] = ()
 
 
-def patch_key(touched: TouchedObject, patch: Patch) -> str:
-    """Name of a patch's content: geometry, shader, place on the surface, and the way it is looked at."""
+def patch_key(touched: TouchedObject, patch: Patch, encoder: str = ENCODER_ID) -> str:
+    """Name of a patch's content: geometry, shader, place on the surface, and the way it is looked at. encoder: content
+    id of the E that describes what is measured."""
     shader = touched.shader_hashes[patch.slot] if patch.slot < len(touched.shader_hashes) else ""
     place = np.round(np.concatenate([patch.centre, patch.x_axis, patch.normal]), 7) + 0.0
     return content_hash(
         touched.shape_hash, shader, touched.place_hash, place.tobytes(), f"{patch.slot} {patch.size_m:.9g}",
-        f"{PATCH_PIXELS} {SENSOR} {ENCODER_ID} {STORE_VERSION} {touched.frame}",
+        f"{PATCH_PIXELS} {SENSOR} {encoder} {STORE_VERSION} {touched.frame}",
     )  # fmt: skip
 
 
 def bake_patches(
-    touched: TouchedObject, patches: Sequence[Patch], folder: Path, counts: Counts
+    touched: TouchedObject,
+    patches: Sequence[Patch],
+    folder: Path,
+    counts: Counts,
+    seeing: Seeing | None = None,
+    chosen: Collection[int] = (),
 ) -> Generator[float, None, tuple[PatchRecord, ...]]:
-    """One record a patch; only what the store lacks is rendered, all of it on one stage.
+    """One record a patch. What the store lacks is rendered, all of it on one stage; where the relief is not known and
+    the colour varies, it is estimated from the picture, once for each patch.
 
-    Yields after each render which share of them is done; each is stored at once, so that a run that is stopped has
-    not lost it. Raises SceneError where a texture is missing. counts grows by the work done.
+    seeing: the networks, the usual ones where not given. chosen: slots of which the artist said what they are: their
+    pictures are not read. Yields after each patch which share of them is done; each is stored at once, so that a run
+    that is stopped has not lost it. Raises SceneError where a texture is missing. counts grows by the work done.
     """
-    keys = [patch_key(touched, patch) for patch in patches]
-    found = {key: record for key in dict.fromkeys(keys) if (record := load_patch(folder, key)) is not None}
-    missing = {key: patch for key, patch in zip(keys, patches, strict=True) if key not in found}
-    if missing:
-        closeups = iter_closeups(
-            touched.obj,
-            list(missing.values()),
-            surface=touched.surface,
-            caster=ray_caster(touched.surface.mesh),
-            pixels=PATCH_PIXELS,
-            metres_per_unit=touched.metres_per_unit,
-            frame=touched.frame,
-        )
-        with closing(closeups):
-            for done, (key, closeup) in enumerate(zip(missing, closeups, strict=True), 1):
+    seeing = seeing or Seeing()
+    keys = [patch_key(touched, patch, seeing.measured.content_id) for patch in patches]
+    wanted = dict(zip(keys, patches, strict=True))
+    found = {key: record for key in wanted if (record := load_patch(folder, key)) is not None}
+    closeups = iter_closeups(
+        touched.obj,
+        [patch for key, patch in wanted.items() if key not in found],
+        surface=touched.surface,
+        pixels=PATCH_PIXELS,
+        metres_per_unit=touched.metres_per_unit,
+        frame=touched.frame,
+    )
+    with closing(closeups):
+        for done, (key, patch) in enumerate(wanted.items(), 1):
+            if key not in found:
+                closeup = next(closeups)
                 counts.renders += closeup.renders
                 counts.rays += closeup.rays
-                found[key] = _record(closeup, touched.surface, counts)
+                found[key] = _record(closeup, touched.surface, seeing.measured, counts)
                 save_patch(folder, key, found[key])
-                yield done / len(missing)
+            if patch.slot not in chosen:
+                found[key] = _seen(found[key], key, folder, seeing, counts)
+            yield done / len(wanted)
     return tuple(found[key] for key in keys)
 
 
+def _seen(record: PatchRecord, key: str, folder: Path, seeing: Seeing, counts: Counts) -> PatchRecord:
+    """record with what can be estimated from its picture: from the store, else by one call of D_φ."""
+    if record.look is None or seeing.missing:
+        return record
+    name = content_hash(key, seeing.content_id)
+    prediction = load_prediction(folder, name)
+    if prediction is None:
+        views = seeing.views_of(record.look, record.mask, record.metres_per_pixel)
+        if not views:
+            return record
+        prediction = seeing.predict(record.look, views, seed=int(key[:15], 16))
+        counts.diffusion_calls += 1
+        counts.tokens += 1
+        save_prediction(folder, name, prediction)
+    return replace(record, predicted=prediction)
+
+
 def tactile_map_of(record: PatchRecord) -> TactileMap | None:
-    """The tactile map a record was described from; None where nothing was measured."""
+    """The measured tactile map that a record was described from; None where nothing was measured."""
     if record.height is None:
         return None
     image = render_sensor_image(record.height, record.metres_per_pixel, sensor_by_name(SENSOR))
@@ -98,8 +127,33 @@ def tactile_map_of(record: PatchRecord) -> TactileMap | None:
     )  # fmt: skip
 
 
+def widest_map(record: PatchRecord) -> TactileMap | None:
+    """The tactile map to show of a patch, whatever its route; None where there is none."""
+    return tactile_map_of(record) if record.predicted is None else predicted_maps(record.predicted)[0]
+
+
 def token_of(record: PatchRecord) -> Token | None:
+    """E of the patch's map, measured or predicted; None where there is no map."""
+    if record.predicted is not None:
+        return record.predicted.token
     return None if record.token is None or record.known is None else Token(record.token, record.known)
+
+
+def resolved_wavelength_of(record: PatchRecord) -> float:
+    """Shortest wave that the source of the patch's map shows, in metres; inf where there is no map."""
+    return record.resolved_wavelength_m if record.predicted is None else record.predicted.resolved_wavelength_m
+
+
+def source_of(record: PatchRecord) -> str:
+    """What the patch's map was made from, in words; "" where there is none."""
+    if record.predicted is None or record.look is None:
+        return record.height_source
+    return f"estimated from {record.look.source}"
+
+
+def encoder_of(record: PatchRecord) -> str:
+    """The make of E that described the patch's map; "" where there is none."""
+    return record.encoder if record.predicted is None else record.predicted.encoder
 
 
 def mean_appearance(records: Sequence[PatchRecord]) -> Appearance:
@@ -118,7 +172,7 @@ def _mean(values: Sequence[float | None]) -> float | None:
     return float(np.mean(known)) if known else None
 
 
-def _record(closeup: CloseUp, surface: Surface, counts: Counts) -> PatchRecord:
+def _record(closeup: CloseUp, surface: Surface, encoder: Encoder, counts: Counts) -> PatchRecord:
     """E is called only where the shader has micro-geometry: a flat map has nothing to describe."""
     tactile, token = None, None
     if closeup.height is not None:
@@ -130,7 +184,7 @@ def _record(closeup: CloseUp, surface: Surface, counts: Counts) -> PatchRecord:
             sensor=SENSOR,
             height_source=closeup.height_source,
         )
-        token = describe(tactile)
+        token = encoder.describe(tactile)
         counts.tokens += 1
     faces = closeup.faces if surface.source_face is None else surface.source_face[closeup.faces]
     return PatchRecord(
@@ -145,4 +199,6 @@ def _record(closeup: CloseUp, surface: Surface, counts: Counts) -> PatchRecord:
         appearance=closeup.appearance,
         faces=np.unique(faces[faces >= 0]).astype(np.int32),
         notes=closeup.notes,
+        look=closeup.look,
+        encoder="" if token is None else encoder.name,
     )

@@ -16,6 +16,7 @@ from hnf_core.files import content_hash, write_atomically, write_bytes
 from hnf_core.material.fuse import routes_by_band
 
 from ..bridge.quiet import quiet
+from .bake import encoder_of, resolved_wavelength_of, widest_map
 from .feel import BakedStroke, Felt, delivered, signal_facts
 from .jobs import Job
 from .report import StrokeReport
@@ -26,7 +27,7 @@ def deliver(folder: Path, job: Job, baked: BakedStroke, felt: Felt, view: Stroke
     main, patch = baked.main_material, baked.main_patch
     record, fused = baked.records[patch], baked.fused[patch]
     routes = routes_by_band(fused.routes)
-    resolved = record.resolved_wavelength_m if np.isfinite(record.resolved_wavelength_m) else None
+    resolved = resolved_wavelength_of(record)
     facts = signal_facts(baked)
     names = facts["library_material"]
     signal = delivered(felt.signal, job.name, facts, felt.confidence)
@@ -39,9 +40,10 @@ def deliver(folder: Path, job: Job, baked: BakedStroke, felt: Felt, view: Stroke
             "Material": f"{main.shader or 'no material'} on {job.object_name} → {names}, "
                         f"{main.confidence:.0%} ({main.reason})",
             "Routes": facts["routes"],
-            "Height": _height_line(record.height_source, resolved),
+            "Height": _height_line(facts["height_source"], resolved),
             "Confidence": f"{felt.confidence:.0%}; probe: {baked.stroke.probe}",
         },
+        tactile=widest_map(record),
     )  # fmt: skip
     return StrokeReport(
         name=job.name,
@@ -49,8 +51,8 @@ def deliver(folder: Path, job: Job, baked: BakedStroke, felt: Felt, view: Stroke
         material=main.shader,
         library_material=names,
         routes=routes,
-        resolved_wavelength_m=resolved,
-        height_source=record.height_source,
+        resolved_wavelength_m=resolved if np.isfinite(resolved) else None,
+        height_source=facts["height_source"],
         height_peak_to_peak_m=None if record.height is None else record.height_peak_to_peak_m,
         wav=f"{stem}.wav",
         picture=f"{stem}.png",
@@ -63,6 +65,8 @@ def deliver(folder: Path, job: Job, baked: BakedStroke, felt: Felt, view: Stroke
         key=job.key,
         wav_hash=content_hash(data),
         warnings=felt.warnings,
+        encoder=encoder_of(record),
+        tactile_map_weights="" if record.predicted is None else record.predicted.weights,
     )
 
 
@@ -92,7 +96,7 @@ def save_baked(path: Path) -> None:
     write_atomically(path, write)
 
 
-def _height_line(source: str, resolved: float | None) -> str:
-    if resolved is None:
+def _height_line(source: str, resolved: float) -> str:
+    if not np.isfinite(resolved):
         return "no micro-geometry in the shader"
     return f"{source}; resolves waves from {resolved * 1e3:.2g} mm"

@@ -21,9 +21,10 @@ from hnf_core.scene.patch import Patch
 from hnf_core.signal import Signal
 
 from ..bridge.strokes import SceneStroke
-from .bake import TouchedObject, bake_patches, tactile_map_of, token_of
+from .bake import TouchedObject, bake_patches, source_of, tactile_map_of, token_of
 from .choose import Asked, SlotMaterial, chosen_material, decide_material
 from .report import Counts
+from .seeing import Seeing, why_unread
 from .store import PatchRecord
 
 USUAL_HEIGHT_M = (0.5e-6, 2e-3)
@@ -38,7 +39,8 @@ MECHANICAL_PROPERTIES = 3
 class BakedStroke:
     """A stroke on its surface, described: everything the field needs, nothing heard yet.
 
-    records, fused: per patch. patch_index: (n,) int32, −1 off the surface. materials: by slot.
+    records, fused: per patch. patch_index: (n,) int32, −1 off the surface. materials: by slot. unread: why pictures
+    that could tell of a relief were not read.
     """
 
     stroke: SceneStroke
@@ -49,6 +51,7 @@ class BakedStroke:
     records: tuple[PatchRecord, ...]
     fused: tuple[FusedToken, ...]
     materials: Mapping[int, SlotMaterial]
+    unread: tuple[str, ...] = ()
 
     @property
     def main_patch(self) -> int:
@@ -64,7 +67,7 @@ class BakedStroke:
         own = list(self.stroke.notes) + list(self.touched.surface.notes)
         for record in self.records:
             own += record.notes
-        own += self._relief_notes()
+        own += [*self._relief_notes(), *self.unread]
         off = float(np.mean(~self.contacts.on_surface))
         if off > 0.0:
             own.append(f"stroke '{self.stroke.name}': {off:.0%} of its time it is off the surface and silent.")
@@ -106,11 +109,16 @@ class Felt:
 
 
 def bake_stroke_steps(
-    stroke: SceneStroke, touched: TouchedObject, choices: Mapping[int | None, str], folder: Path, counts: Counts
+    stroke: SceneStroke,
+    touched: TouchedObject,
+    choices: Mapping[int | None, str],
+    folder: Path,
+    counts: Counts,
+    seeing: Seeing,
 ) -> Generator[float, None, BakedStroke]:
     """Where and what a stroke touches. choices: slot (None = any) → library material named on the command line.
 
-    Yields which share of its renders is done. Raises StrokeError where the stroke touches nothing, or never with
+    Yields which share of its patches is done. Raises StrokeError where the stroke touches nothing, or never with
     force; MaterialError, before anything is rendered, where the artist names a material that does not exist.
     """
     where = f"stroke '{stroke.name}'"
@@ -120,18 +128,24 @@ def bake_stroke_steps(
     patches, patch_index = plan_patches(contacts)
     slots = dict.fromkeys(patch.slot for patch in patches)
     asked = Asked(choices, stroke.material, where)
-    for slot in slots:
-        chosen_material(touched, slot, asked)
-    records = yield from bake_patches(touched, patches, folder, counts)
+    chosen = {slot for slot in slots if chosen_material(touched, slot, asked) is not None}
+    records = yield from bake_patches(touched, patches, folder, counts, seeing, chosen)
     materials = {}
     for slot in slots:
         own = [record for patch, record in zip(patches, records, strict=True) if patch.slot == slot]
         materials[slot] = decide_material(touched, slot, asked, own)
     fused = tuple(
-        fuse(token_of(record), materials[patch.slot].library.token, materials[patch.slot].confidence)
+        fuse(token_of(record), materials[patch.slot].library.token, materials[patch.slot].confidence, record.route)
         for patch, record in zip(patches, records, strict=True)
     )
-    return BakedStroke(stroke, touched, contacts, patches, patch_index, records, fused, materials)
+    unread = {
+        f"material '{materials[patch.slot].shader}': {seeing.missing or why_unread(record.look)}."
+        for patch, record in zip(patches, records, strict=True)
+        if patch.slot not in chosen and record.look is not None and record.predicted is None
+    }
+    return BakedStroke(
+        stroke, touched, contacts, patches, patch_index, records, fused, materials, tuple(sorted(unread))
+    )
 
 
 def feel(baked: BakedStroke, field: Field, seed: int, counts: Counts) -> Felt:
@@ -144,7 +158,8 @@ def feel(baked: BakedStroke, field: Field, seed: int, counts: Counts) -> Felt:
 
 
 def stroke_input(baked: BakedStroke) -> StrokeInput:
-    """What the field is asked about a baked stroke: one token and one mechanics per patch."""
+    """What the field is asked about a baked stroke: one token and one mechanics per patch. The height under the path is
+    that of measured maps alone: a predicted one has the right texture, not the right place of every grain."""
     action = action_from_contacts(baked.contacts, baked.patches, baked.patch_index, baked.stroke.probe)
     maps = [tactile_map_of(record) for record in baked.records]
     profile = stroke_profile(action.position, baked.contacts.point, baked.patch_index, baked.patches, maps)
@@ -184,7 +199,7 @@ def signal_facts(baked: BakedStroke) -> dict[str, str]:
         "material": baked.main_material.shader,
         "library_material": ", ".join(dict.fromkeys(entry.library.name for entry in baked.materials.values())),
         "routes": routes_in_words(baked.fused[patch].routes),
-        "height_source": baked.records[patch].height_source,
+        "height_source": source_of(baked.records[patch]),
     }
 
 

@@ -14,6 +14,7 @@ WORDS = {
     "scale": "the scene's unit scale",
     "shape": "the shape of the surface",
     "shading": "the materials of the surface",
+    "sight": "the networks that estimate relief from pictures",
     "choices": "a material choice",
     PATH: "its path, its timing or the name of its surface",
     TOUCH: "its force, seed or probe",
@@ -23,13 +24,15 @@ WORDS = {
 @dataclass(frozen=True)
 class Inputs:
     """Hashes of: made_by: software, library, field. scale: metres per unit. shape: the surface's geometry.
-    shading: its shaders, their pixels, and the names that a material is guessed from. choices: library materials that
-    the artist named. path: where the hand is and when, on which object. touch: force, seed, probe."""
+    shading: its shaders, their pixels, and the names that a material is guessed from. sight: the networks that read its
+    pictures, "" where none is to be read. choices: library materials that the artist named. path: where the hand is and
+    when, on which object. touch: force, seed, probe."""
 
     made_by: str
     scale: str
     shape: str
     shading: str
+    sight: str
     choices: str
     path: str
     touch: str

@@ -13,7 +13,6 @@ from hnf_core.errors import HnfError, SceneError
 from hnf_core.files import content_hash
 from hnf_core.material.hnf_file import MaterialFile
 from hnf_core.material.library import LIBRARY_PATH, find
-from hnf_core.material.token import ENCODER_ID
 
 from ..bridge.boxes import is_visible, neighbours_hash_parts
 from ..bridge.hashes import material_hash
@@ -21,11 +20,13 @@ from ..bridge.importers import size_warning
 from ..bridge.meshes import Surface, flush_edits, mesh_hash, slot_materials, surface_mesh
 from ..bridge.own_material import own_word
 from ..bridge.placement import default_slots, place_primitive
+from ..bridge.shader_colour import Shows, shows
 from ..bridge.stage import looks_at_world
 from ..bridge.strokes import SceneStroke, path_hash, read_stroke, stroke_objects, touch_hash
-from .bake import PATCH_PIXELS, SENSOR, TouchedObject
+from .bake import PATCH_PIXELS, TouchedObject
 from .inputs import Inputs
 from .report import Counts, Failed, Skipped
+from .seeing import SENSOR, Seeing
 from .store import STORE_VERSION
 from .targets import Target, resolve_target
 
@@ -55,14 +56,15 @@ class Job:
 
 @dataclass(frozen=True)
 class SurfaceFacts:
-    """What the plan knows of an object without a triangle of it. materials: names by slot. chosen, shape_hash,
-    shader_hashes, place_hash: see TouchedObject."""
+    """What the plan knows of an object without a triangle of it. materials: names by slot. shows: what each slot's
+    shader can tell of its relief. chosen, shape_hash, shader_hashes, place_hash: see TouchedObject."""
 
     materials: tuple[str, ...]
     chosen: tuple[str | MaterialFile, ...]
     shape_hash: str
     shader_hashes: tuple[str, ...]
     place_hash: str
+    shows: tuple[Shows, ...]
 
 
 @dataclass
@@ -89,8 +91,9 @@ class Session:
             (resolve_target(scene, choice.target), find(choice.material).name) for choice in request.choices
         ]
         library = content_hash(LIBRARY_PATH.read_bytes())
+        self.seeing = Seeing(request.encoder)
         made_by = f"{__version__} {PATCH_PIXELS} {SENSOR} {STORE_VERSION}"
-        self._made_by = content_hash(field_id, library, ENCODER_ID, made_by)
+        self._made_by = content_hash(field_id, library, self.seeing.measured.content_id, made_by)
 
     @property
     def depsgraph(self) -> Any:
@@ -134,6 +137,7 @@ class Session:
                 shape_hash=mesh_hash(obj, self.depsgraph, self.metres_per_unit),
                 shader_hashes=tuple(material_hash(material) for material in slots),
                 place_hash=repr([list(row) for row in obj.matrix_world]) if worldly else "",
+                shows=tuple(shows(material) for material in slots),
             )
         return self._facts[obj.name]
 
@@ -155,6 +159,15 @@ class Session:
     def choices(self, object_name: str) -> dict[int | None, str]:
         """Slot (None = whole object) → the artist's library material, the last word winning."""
         return {target.slot: material for target, material in self._choices if target.object_name == object_name}
+
+    def outlook(self, obj: Any, material: str = "") -> list[tuple[Shows, bool]]:
+        """Of each slot: what its shader can tell of its relief, and whether the artist said what it is. material: that
+        a stroke itself asks for."""
+        facts, choices = self.facts(obj), self.choices(obj.name)
+        said = [
+            bool(material or choices.get(slot) or choices.get(None) or own) for slot, own in enumerate(facts.chosen)
+        ]
+        return list(zip(facts.shows, said, strict=True))
 
     def surface_key(self, obj: Any) -> str:
         """Hash of all that tokens on obj follow from, apart from what single strokes ask for."""
@@ -193,12 +206,14 @@ class Session:
         obj = self.scene.objects[object_name]
         facts = self.facts(obj)
         choices = repr(sorted(self.choices(object_name).items(), key=repr))
+        reads = any(look is Shows.PICTURE and not chosen for look, chosen in self.outlook(obj, material))
         names = (object_name, obj.data.name, *facts.materials)
         return Inputs(
             made_by=self._made_by,
             scale=repr(self.metres_per_unit),
             shape=facts.shape_hash,
             shading=content_hash(facts.place_hash, *facts.shader_hashes, *names),
+            sight=self.seeing.content_id if reads else "",
             choices=content_hash(choices, material, *(_hashable(word) for word in facts.chosen)),
             path=path,
             touch=touch,

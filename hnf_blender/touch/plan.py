@@ -6,9 +6,11 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
+from hnf_core.tactile.tactile_map import Route
+
 from .report import Failed, Skipped
 
-CLOSEUP_SECONDS, PICTURE_SECONDS, SYNTHESIS_SECONDS = 0.7, 3.0, 0.5
+CLOSEUP_SECONDS, PREDICTION_SECONDS, PICTURE_SECONDS, SYNTHESIS_SECONDS = 0.7, 1.0, 3.0, 0.5
 """Rough cost on two cores, for the estimate only."""
 TYPICAL_PATH_M, PATCH_PITCH_M = 60e-3, 10e-3
 
@@ -19,14 +21,30 @@ def patches_at_most(length_m: float) -> int:
 
 
 @dataclass(frozen=True)
+class SlotPlan:
+    """How the relief of a slot will come to be known. material: the Blender material's name."""
+
+    material: str
+    route: Route
+    why: str
+
+
+@dataclass(frozen=True)
 class Needed:
-    """One stroke to be made. patches: upper bound of the close-ups it takes. why: what is not fresh."""
+    """One stroke to be made. patches: upper bound of the close-ups it takes. why: what is not fresh. slots: what it may
+    touch."""
 
     stroke: str
     object: str
     material: str
     patches: int
     why: str
+    slots: tuple[SlotPlan, ...] = ()
+
+    @property
+    def predictions(self) -> int:
+        """Upper bound of the patches whose relief is estimated from their picture."""
+        return self.patches if any(slot.route is Route.PREDICTED for slot in self.slots) else 0
 
 
 @dataclass(frozen=True)
@@ -52,29 +70,49 @@ class Plan:
         return sum(entry.patches + 1 for entry in self.needed)
 
     @property
+    def predictions(self) -> int:
+        """Upper bound: one a patch."""
+        return sum(entry.predictions for entry in self.needed)
+
+    @property
     def seconds(self) -> float:
         closeups = sum(entry.patches for entry in self.needed)
-        return closeups * CLOSEUP_SECONDS + len(self.needed) * (PICTURE_SECONDS + SYNTHESIS_SECONDS)
+        each = PICTURE_SECONDS + SYNTHESIS_SECONDS
+        return closeups * CLOSEUP_SECONDS + self.predictions * PREDICTION_SECONDS + len(self.needed) * each
 
     def as_json(self) -> str:
-        record = {**asdict(self), "estimate": {"renders_at_most": self.renders, "seconds": round(self.seconds, 1)}}
+        estimate = {
+            "renders_at_most": self.renders,
+            "predictions_at_most": self.predictions,
+            "seconds": round(self.seconds, 1),
+        }
+        record = {**asdict(self), "estimate": estimate}
         return json.dumps(record, indent=1, ensure_ascii=False)
 
     def as_text(self) -> str:
         lines = []
         if self.needed:
             lines.append("Needed:")
-            lines += [
-                f"  {entry.stroke}: on {entry.object}, {entry.material or 'no material'}; "
-                f"at most {entry.patches} close-ups ({entry.why})"
-                for entry in self.needed
-            ]
-            lines.append(f"  at most {self.renders} renders, about {self.seconds:.0f} s")
+            for entry in self.needed:
+                lines.append(
+                    f"  {entry.stroke}: on {entry.object}, {entry.material or 'no material'}; "
+                    f"at most {entry.patches} close-ups ({entry.why})"
+                )
+                lines += [_route_line(slot, entry.predictions) for slot in entry.slots]
+            predictions = f" and {self.predictions} predictions" if self.predictions else ""
+            lines.append(f"  at most {self.renders} renders{predictions}, about {self.seconds:.0f} s")
         lines += ["Fresh:", *(f"  {entry.stroke}: {entry.wav}" for entry in self.fresh)] if self.fresh else []
         lines += ["Skipped:", *_bullets(self.skipped)] if self.skipped else []
         lines += ["Cannot be done:", *(f"  {entry.why}" for entry in self.failed)] if self.failed else []
         lines += ["Notes:", *(f"  {note}" for note in self.notes)] if self.notes else []
         return "\n".join(lines) or "Nothing to do."
+
+
+def _route_line(slot: SlotPlan, predictions: int) -> str:
+    said = ""
+    if slot.route is Route.PREDICTED:
+        said = f", at most {predictions} patches, {predictions * PREDICTION_SECONDS:.0f} s"
+    return f"    {slot.material or 'no material'}: {slot.route.value} ({slot.why}){said}"
 
 
 def _bullets(skipped: Sequence[Skipped]) -> list[str]:

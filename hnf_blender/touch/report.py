@@ -18,7 +18,8 @@ REPORT_NAME = "report.json"
 @dataclass(frozen=True)
 class StrokeReport:
     """One delivered stroke. routes: band wavelength → route. key: hash of everything the signal follows from.
-    warnings: what lowered the confidence of the synthesis; a fresh stroke keeps its own."""
+    warnings: what lowered the confidence of the synthesis; a fresh stroke keeps its own. encoder: make of E that
+    described the map, "" without one. tactile_map_weights: hash of D_φ's where the map was predicted, else ""."""
 
     name: str
     object: str
@@ -39,6 +40,8 @@ class StrokeReport:
     key: str
     wav_hash: str
     warnings: Sequence[str] = ()
+    encoder: str = ""
+    tactile_map_weights: str = ""
 
 
 @dataclass(frozen=True)
@@ -55,12 +58,14 @@ class Failed:
 
 @dataclass
 class Counts:
-    """Work done, not time: renders of any kind, rays and nearest-point queries, F_Θ calls, tokens encoded."""
+    """Work done, not time: renders of any kind, rays and nearest-point queries, F_Θ calls (network_calls), tokens
+    encoded, patches whose relief D_φ estimated (diffusion_calls)."""
 
     renders: int = 0
     rays: int = 0
     network_calls: int = 0
     tokens: int = 0
+    diffusion_calls: int = 0
 
 
 @dataclass

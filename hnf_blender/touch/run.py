@@ -24,6 +24,7 @@ from .jobs import Gathered, Job, Session, gather
 from .lock import folder_lock
 from .plan import TYPICAL_PATH_M, Fresh, Needed, Plan, patches_at_most
 from .report import Report, StrokeReport, earlier_strokes
+from .routes import slot_plans
 from .steps import bake_steps, timed
 from .tokens import store_tokens
 from .view import Views
@@ -69,7 +70,7 @@ def touch_steps(
     for stroke in report.strokes:
         for warning in stroke.warnings:
             report.warn(f"stroke '{stroke.name}': {warning}")
-    if found.jobs and len(fresh) == len(found.jobs) and baked_path.is_file():
+    if found.jobs and all(job.key in fresh for job in found.jobs) and baked_path.is_file():
         return
     views = Views(session.scene, lambda: session.depsgraph, session.metres_per_unit, report.counts)
 
@@ -114,7 +115,8 @@ def make_plan(session: Session, found: Gathered, earlier: dict[str, StrokeReport
         slots = session.facts(session.scene.objects[job.object_name]).materials
         shader = slots[job.slot] if job.slot is not None and job.slot < len(slots) else ", ".join(slots)
         why = "changed since the last run" if _has_name(earlier, job.name) else "not baked yet"
-        needed.append(Needed(job.name, job.object_name, shader, patches_at_most(length), why))
+        routes = slot_plans(session, job)
+        needed.append(Needed(job.name, job.object_name, shader, patches_at_most(length), why, routes))
     return Plan(tuple(needed), tuple(fresh), tuple(found.skipped), tuple(found.failed), tuple(found.notes))
 
 
@@ -203,8 +205,8 @@ def _tell(report: Report, request: TouchRequest) -> int:
                 f"{stroke.rms_m_s2:.3g} m/s² RMS → {request.out / stroke.wav}{state}"
             )
         counts = report.counts
-        print(f"{counts.renders} renders, {counts.rays} rays, {counts.network_calls} network calls; "
-              f"report: {request.out / 'report.json'}")  # fmt: skip
+        print(f"{counts.renders} renders, {counts.rays} rays, {counts.network_calls} network calls, "
+              f"{counts.diffusion_calls} diffusion calls; report: {request.out / 'report.json'}")  # fmt: skip
     for warning in report.warnings:
         print(f"note: {warning}", file=sys.stderr)
     for failed in report.failed:

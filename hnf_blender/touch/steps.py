@@ -69,7 +69,7 @@ def _bake(session: Session, job: Job, cache: Path, report: Report) -> Generator[
         stroke = session.read(curve)
     touched = session.touched(session.scene.objects[stroke.object_name])
     choices = session.choices(stroke.object_name)
-    described = yield from bake_stroke_steps(stroke, touched, choices, cache, report.counts)
+    described = yield from bake_stroke_steps(stroke, touched, choices, cache, report.counts, session.seeing)
     for note in described.notes:
         report.warn(note)
     return described
@@ -78,7 +78,7 @@ def _bake(session: Session, job: Job, cache: Path, report: Report) -> Generator[
 def _shares(
     rendering: Generator[float, None, BakedStroke], stage: str, done: int, total: int
 ) -> Generator[Progress, None, BakedStroke]:
-    """Shares of one stroke's renders → Progress of the whole; closes rendering however it ends."""
+    """Shares of one stroke's patches → Progress of the whole; closes rendering however it ends."""
     with contextlib.closing(rendering):
         while True:
             try:

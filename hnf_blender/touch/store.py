@@ -4,16 +4,41 @@ from __future__ import annotations
 
 import io
 import zipfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.files import write_bytes
 from hnf_core.material.material import Appearance
+from hnf_core.material.token import Token
+from hnf_core.tactile.tactile_map import Route
 
-STORE_VERSION = 1
+from ..bridge.look import Look
+
+STORE_VERSION = 2
+PREDICTION_VERSION = 1
+_DAMAGED = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What the networks made of one patch's look.
+
+    images: (V, 64, 64, 3) float32 sensor images, the widest view first. pitch_m: (V,) metres per pixel of each.
+    resolved_wavelength_m: shortest wave that the picture shows. token: E of the maps, merged. encoder: make of E.
+    weights: content hash of D_φ's.
+    """
+
+    images: NDArray[np.float32]
+    pitch_m: NDArray[np.float64]
+    resolved_wavelength_m: float
+    token: Token
+    encoder: str
+    weights: str
 
 
 @dataclass(frozen=True)
@@ -23,8 +48,10 @@ class PatchRecord:
     height: (H, W) float32 metres, or None where the shader has no micro-geometry. mask: (H, W) bool.
     metres_per_pixel: m. resolved_wavelength_m: inf where nothing is resolved. height_source: for the report.
     height_peak_to_peak_m: of the shader's own height, 0 where it has none.
-    token, known: E of the tactile map, or None. appearance: shading values averaged over the patch.
+    token, known: E of the measured tactile map, or None. appearance: shading values averaged over the patch.
     faces: (k,) int32 faces of the object's own mesh that the patch covers. notes: warnings for the artist.
+    look: the unlit picture, where height is None and the colour varies. encoder: make of E that token is from.
+    predicted: what was estimated from the look, where that was wanted; kept in a file of its own.
     """
 
     height: NDArray[np.float32] | None
@@ -38,6 +65,16 @@ class PatchRecord:
     appearance: Appearance
     faces: NDArray[np.int32]
     notes: tuple[str, ...]
+    look: Look | None = None
+    encoder: str = ""
+    predicted: Prediction | None = None
+
+    @property
+    def route(self) -> Route:
+        """How the relief of this patch is known."""
+        if self.height is not None:
+            return Route.MEASURED
+        return Route.PRIOR if self.predicted is None else Route.PREDICTED
 
 
 def load_patch(folder: Path, key: str) -> PatchRecord | None:
@@ -59,8 +96,10 @@ def load_patch(folder: Path, key: str) -> PatchRecord | None:
                 appearance=_appearance_from(data["appearance"]),
                 faces=data["faces"],
                 notes=tuple(str(note) for note in data["notes"]),
+                look=_look_from(data) if bool(data["pictured"]) else None,
+                encoder=str(data["encoder"]),
             )
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except _DAMAGED:
         return None
 
 
@@ -80,10 +119,59 @@ def save_patch(folder: Path, key: str, record: PatchRecord) -> None:
         "appearance": _appearance_row(record.appearance),
         "faces": record.faces,
         "notes": np.array(record.notes, dtype=np.str_),
+        "pictured": np.array(record.look is not None),
+        "encoder": np.array(record.encoder),
     }
+    if record.look is not None:
+        arrays |= {
+            "rgb": record.look.rgb,
+            "depth": record.look.depth_m,
+            "look_resolved": np.array(record.look.resolved_wavelength_m),
+            "look_source": np.array(record.look.source),
+        }
+    _save(folder / f"{key}.npz", arrays)
+
+
+def load_prediction(folder: Path, key: str) -> Prediction | None:
+    """The prediction stored under key, or None. A damaged file counts as absent: it is made anew."""
+    try:
+        with np.load(folder / f"{key}.npz", allow_pickle=False) as data:
+            if int(data["prediction"]) != PREDICTION_VERSION:
+                return None
+            return Prediction(
+                images=data["images"],
+                pitch_m=data["pitch_m"],
+                resolved_wavelength_m=float(data["resolved_wavelength_m"]),
+                token=Token(data["token"], data["known"]),
+                encoder=str(data["encoder"]),
+                weights=str(data["weights"]),
+            )
+    except _DAMAGED:
+        return None
+
+
+def save_prediction(folder: Path, key: str, prediction: Prediction) -> None:
+    arrays = {
+        "prediction": np.array(PREDICTION_VERSION),
+        "images": prediction.images,
+        "pitch_m": prediction.pitch_m,
+        "resolved_wavelength_m": np.array(prediction.resolved_wavelength_m),
+        "token": prediction.token.values,
+        "known": prediction.token.known,
+        "encoder": np.array(prediction.encoder),
+        "weights": np.array(prediction.weights),
+    }
+    _save(folder / f"{key}.npz", arrays)
+
+
+def _save(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     packed = io.BytesIO()  # in memory first: on a full disk a half-written archive complains again when dropped
     np.savez_compressed(packed, **arrays)
-    write_bytes(folder / f"{key}.npz", packed.getvalue())
+    write_bytes(path, packed.getvalue())
+
+
+def _look_from(data: Mapping[str, NDArray[Any]]) -> Look:
+    return Look(data["rgb"], data["depth"], float(data["look_resolved"]), str(data["look_source"]))
 
 
 def _appearance_row(appearance: Appearance) -> NDArray[np.float64]:

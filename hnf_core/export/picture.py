@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..action.action import Action
 from ..signal import Signal
+from ..tactile.tactile_map import TactileMap
 from .figure import write_figure
 from .path_on_view import StrokeView, draw_path
 from .tracks import QUIET, TRACKS_BOTTOM, draw_spectrum, draw_tracks
@@ -21,6 +22,10 @@ if TYPE_CHECKING:
 
 SIZE_PX = (1600, 1000)
 LEFT = 0.025
+MAP_SIDE = 0.1
+"""Of a tactile map, as a share of the picture's width."""
+MAP_SPREAD = 0.2
+"""How far the strongest percent of a tactile map's pixels is drawn from its mean: its own contrast is that of a gel."""
 
 
 def stroke_picture(
@@ -30,6 +35,7 @@ def stroke_picture(
     action: Action,
     signal: Signal,
     view: StrokeView | None = None,
+    tactile: TactileMap | None = None,
     facts: Mapping[str, str] | None = None,
     frequency_scale: Literal["linear", "log"] = "linear",
     highest_hz: float = 1000.0,
@@ -38,13 +44,14 @@ def stroke_picture(
     one time axis force [N], speed [mm/s], acceleration [m/s²] and its spectrogram [dB re 1 (m/s²)²/Hz].
 
     facts: label → text lines below the view (material, routes, confidence, …); seed, duration and RMS are added.
+    tactile: what a touch sensor sees of the surface, shown beside them with its route and its contrast raised.
     Equal input gives equal bytes with one version of matplotlib. No display and no global figure is used.
     Raises FileError where matplotlib is missing or the file cannot be written.
     """
 
     def draw(figure: Figure) -> None:
         figure.text(LEFT, 0.955, _short(title, 90), fontsize=19, fontweight="bold", va="center")
-        end = _draw_view(figure, view, _lines(signal, facts or {}))
+        end = _draw_view(figure, view, tactile, _lines(signal, facts or {}))
         if end - TRACKS_BOTTOM > 0.14:
             draw_spectrum(figure, signal, (LEFT + 0.035, TRACKS_BOTTOM, 0.44, min(end - TRACKS_BOTTOM - 0.035, 0.3)))
         draw_tracks(figure, action, signal, frequency_scale, highest_hz)
@@ -71,14 +78,19 @@ def _short(text: str, most: int) -> str:
     return text if len(text) <= most else text[: most - 1] + "…"
 
 
-def _draw_view(figure: Figure, view: StrokeView | None, lines: list[tuple[str, str]]) -> float:
-    """The view as large as fits in the left column, its colour bar, and the facts below. Returns where they end."""
+def _draw_view(
+    figure: Figure, view: StrokeView | None, tactile: TactileMap | None, lines: list[tuple[str, str]]
+) -> float:
+    """The view as large as fits in the left column, its colour bar, and the facts and tactile map below. Returns where
+    they end."""
     left, top, width, line = LEFT, 0.915, 0.475, 0.025
-    rows = [(label, row) for label, text in lines for row in textwrap.wrap(text, 82)[:2] or [""]]
+    letters = 82 if tactile is None else 66
+    rows = [(label, row) for label, text in lines for row in textwrap.wrap(text, letters)[:2] or [""]]
+    below = max(line * len(rows), 0.0 if tactile is None else MAP_SIDE * SIZE_PX[0] / SIZE_PX[1] + 2 * line)
     bottom = top
     if view is not None:
         height, columns = view.rgb.shape[:2]
-        room = top - 0.1 - line * len(rows) - 0.05
+        room = top - 0.1 - below - 0.05
         tallest = width * SIZE_PX[0] * height / columns / SIZE_PX[1]
         share = min(1.0, room / tallest)
         bottom = top - tallest * share
@@ -93,4 +105,23 @@ def _draw_view(figure: Figure, view: StrokeView | None, lines: list[tuple[str, s
         if number == 0 or label != rows[number - 1][0]:
             figure.text(left, y, _short(label, 14), color=QUIET)
         figure.text(left + 0.085, y, row)
-    return bottom - line * len(rows)
+    if tactile is not None:
+        _draw_map(figure, tactile, left + width - MAP_SIDE, bottom)
+    return bottom - below
+
+
+def _draw_map(figure: Figure, tactile: TactileMap, left: float, top: float) -> None:
+    """A square with its upper edge at top, and below it where the map comes from and how wide it is."""
+    tall = MAP_SIDE * SIZE_PX[0] / SIZE_PX[1]
+    image = np.asarray(tactile.image, dtype=np.float64)
+    seen = image[tactile.mask]
+    mean = seen.mean(axis=0) if len(seen) else image.mean(axis=(0, 1))
+    spread = float(np.percentile(np.abs(seen - mean), 99)) if len(seen) else 0.0
+    drawn = mean + (image - mean) * max(1.0, MAP_SPREAD / max(spread, 1e-3))
+    axes = figure.add_axes((left, top - tall, MAP_SIDE, tall))
+    axes.imshow(linear_to_srgb(np.where(tactile.mask[..., None], drawn, mean)), interpolation="antialiased")
+    axes.set(xticks=[], yticks=[])
+    axes.grid(False)
+    wide = image.shape[1] * tactile.metres_per_pixel * 1e3
+    said = f"{tactile.route.value} relief, {wide:.3g} mm"
+    figure.text(left + MAP_SIDE / 2, top - tall - 0.02, said, color=QUIET, ha="center", fontsize=9)

@@ -1,0 +1,39 @@
+"""Which route each slot of a job's surface will take, told before anything is rendered."""
+
+from __future__ import annotations
+
+from hnf_core.tactile.tactile_map import Route
+
+from ..bridge.shader_colour import Shows
+from .jobs import Job, Session
+from .plan import SlotPlan
+
+CHOSEN = "chosen by the artist"
+
+
+def slot_plans(session: Session, job: Job) -> tuple[SlotPlan, ...]:
+    """Of the slots that the job may touch: all of its object's, or the one that it is to be placed on.
+
+    A slot with a picture may still come out prior, where the picture turns out to be too coarse or of one colour.
+    """
+    obj = session.scene.objects[job.object_name]
+    materials = session.facts(obj).materials
+    outlook = session.outlook(obj, "" if job.stroke is None else job.stroke.material)
+    return tuple(
+        _slot_plan(materials[slot], shown, chosen, session.seeing.missing)
+        for slot, (shown, chosen) in enumerate(outlook)
+        if job.slot in (None, slot)
+    )
+
+
+def _slot_plan(material: str, shown: Shows, chosen: bool, missing: str) -> SlotPlan:
+    if shown is Shows.RELIEF:
+        return SlotPlan(material, Route.MEASURED, "its shader has a relief")
+    if shown is Shows.PICTURE and not chosen:
+        if missing:
+            return SlotPlan(material, Route.PRIOR, missing)
+        return SlotPlan(material, Route.PREDICTED, "no relief, but its colour varies")
+    if chosen:
+        skipped = "; its picture is skipped" if shown is Shows.PICTURE else ""
+        return SlotPlan(material, Route.PRIOR, f"{CHOSEN}{skipped}")
+    return SlotPlan(material, Route.PRIOR, "its shader has neither relief nor picture")

@@ -1,0 +1,121 @@
+"""From a patch's picture to its token: D_φ, then E, each read when the first patch asks for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.files import content_hash
+from hnf_core.material.encoders import Encoder, default_encoder, describe_with, encoder_by_name
+from hnf_core.material.token import Token
+from hnf_core.tactile.diffusion.predict import DEFAULT_STEPS, predict
+from hnf_core.tactile.diffusion.weights import DEFAULT_WEIGHTS, MapWeights, load_map_weights
+from hnf_core.tactile.tactile_map import Route, TactileMap
+from hnf_core.tactile.views import PITCHES_M, LookView, cut_views
+
+from ..bridge.look import Look
+from .store import Prediction
+
+SENSOR = "gelsight"
+COARSEST_WAVE_M = 2.0 * PITCHES_M[0]
+"""A picture must show waves as short as this for the widest view."""
+FLAT_M = 0.05e-3
+"""RMS. Depth that varies less is no depth to D_φ: every depth that it was trained on is noisier."""
+
+
+class Seeing:
+    """The networks of one run. encoder: name or file of a make of E for all maps, "" = each route's own default."""
+
+    def __init__(self, encoder: str = "") -> None:
+        """Raises UsageError, FileError or WeightsError where encoder cannot be used."""
+        self._path = DEFAULT_WEIGHTS
+        asked = encoder_by_name(encoder) if encoder else None
+        self.measured: Encoder = asked or default_encoder(Route.MEASURED)
+        self.predicted: Encoder = asked or default_encoder(Route.PREDICTED)
+
+    @property
+    def weights_hash(self) -> str:
+        """Of D_φ's weights, without reading them into a network; "" where there are none."""
+        try:
+            stat = self._path.stat()
+        except OSError:
+            return ""
+        return _file_hash(self._path, stat.st_mtime_ns, stat.st_size)
+
+    @property
+    def content_id(self) -> str:
+        """Changes with everything that a prediction of an equal picture follows from."""
+        return content_hash(self.weights_hash, self.predicted.content_id, f"{SENSOR} {DEFAULT_STEPS} {FLAT_M}")
+
+    @property
+    def missing(self) -> str:
+        """Why no picture can be read, "" where it can."""
+        if self.weights_hash:
+            return ""
+        return (
+            "its relief could be estimated from its picture, but the weights for that are not there; its name and look "
+            f"decide. Install the package with its data files, or run: hnf train tactile-map --out {self._path}"
+        )
+
+    def views_of(self, look: Look, mask: NDArray[np.bool_], metres_per_pixel: float) -> tuple[LookView, ...]:
+        """What D_φ is shown of a patch; empty where the picture is too coarse, or too little of it is seen."""
+        seen = mask & np.isfinite(look.depth_m)
+        flat = not seen.any() or float(np.std(look.depth_m[seen])) < FLAT_M
+        depth = None if flat else look.depth_m
+        return cut_views(look.linear, depth, mask, metres_per_pixel, look.resolved_wavelength_m)
+
+    def predict(self, look: Look, views: tuple[LookView, ...], seed: int) -> Prediction:
+        """One call of D_φ for all views of a patch, then E of each map, merged. Equal input gives equal bytes.
+
+        Raises FileError or WeightsError where the weights cannot be used.
+        """
+        weights = _read(self._path, self.weights_hash)
+        maps = [
+            replace(each, resolved_wavelength_m=max(each.resolved_wavelength_m, look.resolved_wavelength_m))
+            for each in predict(weights, views, SENSOR, seed=seed)
+        ]
+        token = describe_with(self.predicted, maps)
+        return Prediction(
+            images=np.stack([each.image for each in maps]).astype(np.float16),
+            pitch_m=np.array([each.metres_per_pixel for each in maps]),
+            resolved_wavelength_m=look.resolved_wavelength_m,
+            token=Token(token.values, token.known),
+            encoder=self.predicted.name,
+            weights=weights.fingerprint,
+        )
+
+
+def predicted_maps(prediction: Prediction) -> tuple[TactileMap, ...]:
+    """The tactile maps that a token was made from, the widest first; without their heights."""
+    mask = np.ones(prediction.images.shape[1:3], dtype=bool)
+    return tuple(
+        TactileMap(
+            image.astype(np.float32), None, mask, float(pitch), SENSOR,
+            max(2.0 * float(pitch), prediction.resolved_wavelength_m), Route.PREDICTED, "D_φ",
+        )
+        for image, pitch in zip(prediction.images, prediction.pitch_m, strict=True)
+    )  # fmt: skip
+
+
+def why_unread(look: Look) -> str:
+    """What keeps a picture from being read, for the artist."""
+    if look.resolved_wavelength_m > COARSEST_WAVE_M * (1.0 + 1e-6):
+        return (
+            f"its picture ({look.source}) shows no wave below {look.resolved_wavelength_m * 1e3:.2g} mm, and "
+            f"{COARSEST_WAVE_M * 1e3:.2g} mm is needed to estimate relief from it; its name and look decide"
+        )
+    return "too little of it is seen in one piece to estimate relief from its picture; its name and look decide"
+
+
+@lru_cache(maxsize=2)
+def _read(path: Path, content: str) -> MapWeights:
+    return load_map_weights(path)
+
+
+@lru_cache(maxsize=4)
+def _file_hash(path: Path, modified_ns: int, size: int) -> str:
+    return content_hash(path.read_bytes())
