@@ -44,14 +44,14 @@ def look_of(encoded: Array, depth: Array, depth_known: NDArray[np.bool_], rgb_kn
     scalars = np.zeros((count, SCALARS), dtype=np.float32)
     if rgb_known.any():
         colour = encoded[rgb_known]
-        mean = colour.mean(axis=(2, 3), keepdims=True)
+        mean = colour.mean(axis=(2, 3), keepdims=True, dtype=np.float64)
         contrast = np.sqrt(((colour - mean) ** 2).mean(axis=(1, 2, 3), keepdims=True) + CONTRAST_FLOOR**2)
         pictures[rgb_known, :3] = (colour - mean) / contrast
         scalars[rgb_known, :3] = 2.0 * mean[:, :, 0, 0] - 1.0
         scalars[rgb_known, 3] = np.log10(contrast[:, 0, 0, 0]) + 1.5
         scalars[rgb_known, 6] = 1.0
     if depth_known.any():
-        level = depth[depth_known] - depth[depth_known].mean(axis=(1, 2), keepdims=True)
+        level = depth[depth_known] - depth[depth_known].mean(axis=(1, 2), keepdims=True, dtype=np.float64)
         scale = np.sqrt((level**2).mean(axis=(1, 2), keepdims=True) + DEPTH_FLOOR**2)
         pictures[depth_known, 3] = level / scale
         scalars[depth_known, 4] = np.log10(scale[:, 0, 0])

@@ -118,7 +118,7 @@ def _silu(x: Array) -> Array:
     np.minimum(gate, np.float32(87.0), out=gate)
     np.exp(gate, out=gate)
     gate += np.float32(1.0)
-    return np.divide(x, gate, out=gate)
+    return np.asarray(np.divide(x, gate, out=gate))
 
 
 def _dense(network: Network, name: str, x: Array) -> Array:
@@ -127,7 +127,7 @@ def _dense(network: Network, name: str, x: Array) -> Array:
 
 def _conv1(network: Network, name: str, x: Array) -> Array:
     weight = network.parameters[f"{name}.weight"]
-    out = weight.reshape(weight.shape[:2]) @ x
+    out: Array = weight.reshape(weight.shape[:2]) @ x
     out += network.parameters[f"{name}.bias"][:, None]
     return out
 
@@ -141,7 +141,7 @@ def _conv3(network: Network, name: str, x: Array, side: int) -> Array:
     shifted[2, :, 1:-1, :-1] = picture[:, :, 1:]
     columns = shifted.reshape(3 * len(picture), -1)
     pixels = side * side
-    out = kernel[0] @ columns[:, :pixels]
+    out: Array = kernel[0] @ columns[:, :pixels]
     out += kernel[1] @ columns[:, side : side + pixels]
     out += kernel[2] @ columns[:, 2 * side :]
     out += network.parameters[f"{name}.bias"][:, None]

@@ -28,7 +28,7 @@ def alpha_bars() -> Float:
     place = np.arange(TRAIN_STEPS + 1) / TRAIN_STEPS
     level = np.cos((place + OFFSET) / (1.0 + OFFSET) * np.pi / 2.0) ** 2
     betas = np.minimum(1.0 - level[1:] / level[:-1], LARGEST_BETA)
-    bars = np.cumprod(1.0 - betas)
+    bars: Float = np.cumprod(1.0 - betas)
     bars.flags.writeable = False
     return bars
 

@@ -43,7 +43,7 @@ class Plan:
     decay: float = 0.01
     clip: float = 1.0
     ema: float = 0.998
-    level_weight: float = 0.25
+    level_weight: float = 0.5
     seed: int = 0
     threads: int = 1
     half: bool = True
@@ -136,7 +136,7 @@ def _step(state: _State, pairs: Pairs, plan: Plan) -> float:
         pattern, level = losses(state.network, batch, rng)
     loss = pattern + plan.level_weight * level
     state.optimiser.zero_grad(set_to_none=True)
-    loss.backward()
+    loss.backward()  # type: ignore[no-untyped-call]
     torch.nn.utils.clip_grad_norm_(state.network.parameters(), plan.clip)
     state.optimiser.step()
     state.step += 1
@@ -154,13 +154,20 @@ def _rate(plan: Plan, state: _State) -> float:
 
 def _fresh(config: MapConfig, plan: Plan) -> _State:
     torch.manual_seed(plan.seed)
-    network = MapNetwork(config).to(memory_format=torch.channels_last)
+    network = _network(config)
     optimiser = torch.optim.AdamW(network.parameters(), plan.rate, betas=(0.9, 0.99), weight_decay=plan.decay)
     return _State(network, optimiser, {name: value.clone() for name, value in network.state_dict().items()})
 
 
+def _network(config: MapConfig) -> MapNetwork:
+    network = MapNetwork(config)
+    # oneDNN's half-precision convolutions want the channels last.
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return network
+
+
 def _averaged(state: _State) -> MapNetwork:
-    network = MapNetwork(state.network.config).to(memory_format=torch.channels_last)
+    network = _network(state.network.config)
     network.load_state_dict(state.average)
     return network
 

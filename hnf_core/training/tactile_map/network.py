@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -25,7 +27,8 @@ class Block(nn.Module):
         scale, shift = self.film(embedding)[:, :, None, None].chunk(2, dim=1)
         inner = self.conv1(functional.silu(self.norm1(x)))
         inner = functional.silu(torch.addcmul(shift, self.norm2(inner), 1.0 + scale))
-        return x + self.conv2(inner)
+        out: Tensor = x + self.conv2(inner)
+        return out
 
 
 class Attention(nn.Module):
@@ -43,7 +46,8 @@ class Attention(nn.Module):
         parts = self.into(self.norm(x)).reshape(batch, 3, HEADS, size // HEADS, rows * columns)
         query, key, value = (part.transpose(-1, -2) for part in parts.unbind(1))
         mixed = functional.scaled_dot_product_attention(query, key, value)
-        return x + self.out(mixed.transpose(-1, -2).reshape(batch, size, rows, columns))
+        out: Tensor = x + self.out(mixed.transpose(-1, -2).reshape(batch, size, rows, columns))
+        return out
 
 
 class MapNetwork(nn.Module):
@@ -72,21 +76,27 @@ class MapNetwork(nn.Module):
         embedding = functional.silu(self.embed[1](functional.silu(self.embed[0](conditions))))
         x = self.enter(functional.pixel_unshuffle(pictures, 2).contiguous(memory_format=torch.channels_last))
         kept = []
-        for blocks, shrink in zip(self.down, self.shrink, strict=True):
-            x = _through(blocks, x, embedding)
+        for level, shrink in enumerate(self.shrink):
+            x = _through(self._level(self.down, level), x, embedding)
             kept.append(x)
             x = shrink(functional.pixel_unshuffle(x, 2).contiguous(memory_format=torch.channels_last))
         x = _through(self.deep[:-1], x, embedding)
         x = self.deep[-1](self.attention(x), embedding)
-        level = self.level[1](functional.silu(self.level[0](torch.cat([x.mean(dim=(2, 3)), embedding], dim=1))))
-        for blocks, grow, skip in reversed(list(zip(self.up, self.grow, kept, strict=True))):
-            x = functional.interpolate(grow(x), scale_factor=2, mode="nearest") + skip
-            x = _through(blocks, x, embedding)
+        coarse = self.level[1](functional.silu(self.level[0](torch.cat([x.mean(dim=(2, 3)), embedding], dim=1))))
+        for level in reversed(range(len(kept))):
+            x = functional.interpolate(self.grow[level](x), scale_factor=2, mode="nearest") + kept[level]
+            x = _through(self._level(self.up, level), x, embedding)
         slopes = functional.pixel_shuffle(self.leave(functional.silu(self.leave_norm(x))), 2)
-        return slopes, level[:, 0]
+        return slopes, coarse[:, 0]
+
+    @staticmethod
+    def _level(levels: nn.ModuleList, index: int) -> Iterable[nn.Module]:
+        blocks = levels[index]
+        assert isinstance(blocks, nn.ModuleList)
+        return blocks
 
 
-def _through(blocks: nn.ModuleList, x: Tensor, embedding: Tensor) -> Tensor:
+def _through(blocks: Iterable[nn.Module], x: Tensor, embedding: Tensor) -> Tensor:
     for block in blocks:
         x = block(x, embedding)
     return x
