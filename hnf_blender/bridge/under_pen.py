@@ -86,7 +86,12 @@ def _baked(obj: Any, token: int) -> MaterialFile | None:
         return None
     palette = kept.palette
     known = np.ones(TOKEN_DIM, dtype=bool)
-    return MaterialFile(palette.names[token], Token(palette.tokens[token], known), palette.mechanics[token])
+    return MaterialFile(
+        palette.names[token],
+        Token(palette.tokens[token], known),
+        palette.mechanics[token],
+        encoder=palette.encoder_id,
+    )
 
 
 def _likely(obj: Any, shader: Any) -> LibraryMaterial:

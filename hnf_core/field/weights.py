@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -31,20 +31,45 @@ _RETRAIN = "Train it again with this version, or choose other weights."
 
 def save_field(path: Path, field: Field) -> None:
     """Write parameters, ranges and metadata atomically. field.metadata (training data, seed, metrics, licence, all
-    text) is kept; format, encoder, architecture and ranges are added. Raises FileError."""
+    text) is kept, with the encoders of the tokens it was trained on (where it names none, the library's); format,
+    architecture and ranges are added. Raises FileError."""
     from safetensors.numpy import save
 
     tensors = {name: np.ascontiguousarray(value, dtype=np.float32) for name, value in field.parameters.items()}
     metadata = {
+        "encoder": ENCODER_ID,
         **field.metadata,
         "format": FORMAT,
-        "encoder": ENCODER_ID,
         "architecture": json.dumps(dataclasses.asdict(field.config), sort_keys=True),
     }
     if field.ranges is not None:
         tensors[_TOKEN_LOW], tensors[_TOKEN_HIGH] = field.ranges.token_low, field.ranges.token_high
         metadata["ranges"] = json.dumps(_ranges_record(field.ranges))
     write_bytes(path, _canonical(save(tensors, metadata=metadata)))
+
+
+def encoders_of(metadata: Mapping[str, str]) -> tuple[str, ...]:
+    """Names of the encoders whose tokens a field was trained on, from its metadata["encoder"]: a JSON list of names,
+    or one plain name."""
+    text = metadata.get("encoder", "")
+    try:
+        listed = json.loads(text)
+    except ValueError:
+        return (text,) if text else ()
+    return tuple(str(name) for name in listed) if isinstance(listed, list) else (text,)
+
+
+def refuse_other_encoders(field: Field, names: Iterable[str], where: str = "") -> None:
+    """Raises WeightsError where a name is of no encoder whose tokens the field was trained on. A field that says
+    nothing of its encoders (made by hand, in memory) knows the library's."""
+    known = encoders_of(field.metadata) or (ENCODER_ID,)
+    foreign = [name for name in names if name not in known]
+    if foreign:
+        raise WeightsError(
+            f"trained on tokens of encoder {' and '.join(map(repr, known))}, but tokens here come from {foreign[0]!r}.",
+            where=where,
+            remedy="Choose an encoder that the field knows, or weights trained on this one's tokens.",
+        )
 
 
 def _canonical(data: bytes) -> bytes:
@@ -100,7 +125,7 @@ def _read(path: Path) -> Field:
     if metadata.get("format") != FORMAT:
         found = metadata.get("format", "no format")
         raise WeightsError(f"these are not field weights ({found}, not {FORMAT}).", where=str(path), remedy=_RETRAIN)
-    if metadata.get("encoder") != ENCODER_ID:
+    if ENCODER_ID not in encoders_of(metadata):
         raise WeightsError(
             f"trained on tokens of encoder {metadata.get('encoder')!r}, but tokens here come from {ENCODER_ID!r}.",
             where=str(path),

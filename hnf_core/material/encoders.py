@@ -10,13 +10,11 @@ from ..errors import UsageError
 from ..files import content_hash
 from ..tactile.tactile_map import Route, TactileMap
 from .alexnet.reading import describe_by_alexnet
-from .alexnet.weights import ALEXNET_ID, load_encoder
+from .alexnet.weights import load_encoder
 from .encoder import describe
 from .merge import merge
-from .token import ENCODER_ID, Token
+from .token import ALEXNET_ID, ENCODER_ID, ENCODER_NAMES, Token
 
-ENCODER_NAMES = (ENCODER_ID, ALEXNET_ID)
-"""The makes that come with the project, by name."""
 DEFAULT_NAMES = {Route.MEASURED: ENCODER_ID, Route.PREDICTED: ENCODER_ID}
 """Which make describes maps of which route; docs/encoder.md has the figures that decided it."""
 

@@ -22,7 +22,7 @@ from .library import load_library
 from .material import Appearance, LibraryMaterial
 from .mechanics import UNKNOWN, Mechanics
 from .prior import rank
-from .token import ENCODER_ID, TOKEN_DIM, Token
+from .token import ENCODER_ID, ENCODER_NAMES, TOKEN_DIM, Token
 
 SUFFIX = ".hnf"
 FORMAT = "hnf-material-1"
@@ -41,6 +41,7 @@ class MaterialFile:
 
     name: one line, for people. category: one of the library's, or "". words: what such a material is called.
     token: m = E(I); what it does not know is left to the library (complete). licence: an SPDX expression or words.
+    encoder: makes of E that the token came from (token.joined_encoders).
     Two are equal when their bytes are. Raises MaterialError where a value cannot be: an empty name, a token that is not
     finite, a negative stiffness.
     """
@@ -52,6 +53,7 @@ class MaterialFile:
     words: tuple[str, ...] = ()
     appearance: Appearance = UNSEEN
     licence: str = ""
+    encoder: str = ENCODER_ID
 
     def __post_init__(self) -> None:
         if not self.name.strip() or not self.name.isprintable() or len(self.name.encode()) > LONGEST_NAME:
@@ -79,7 +81,7 @@ class MaterialFile:
         """The file. Equal materials give equal bytes."""
         metadata = {
             "format": FORMAT,
-            "encoder": ENCODER_ID,
+            "encoder": self.encoder,
             "name": self.name,
             "category": self.category,
             "licence": self.licence,
@@ -151,9 +153,11 @@ def parse_hnf(data: bytes, where: str) -> MaterialFile:
         metadata, arrays = _unpack(data)
         if metadata.get("format") != FORMAT:
             raise ValueError(f"its format is {metadata.get('format', 'not given')!r}, not {FORMAT!r}")
-        if metadata.get("encoder") != ENCODER_ID:
+        encoder = str(metadata.get("encoder", ""))
+        if not all(name in ENCODER_NAMES for name in encoder.split("+")):
             raise FileError(
-                f"its token comes from encoder {metadata.get('encoder', '')!r}, and this version reads {ENCODER_ID!r}.",
+                f"its token comes from encoder {encoder!r}, and this version reads "
+                f"{' and '.join(map(repr, ENCODER_NAMES))}.",
                 where=where,
                 remedy="Ask for a file of this version, or describe the material again with this version.",
             )
@@ -165,6 +169,7 @@ def parse_hnf(data: bytes, where: str) -> MaterialFile:
             words=_words(metadata.get("words", "[]")),
             appearance=_appearance(dict(json.loads(metadata["appearance"]))),
             licence=metadata.get("licence", ""),
+            encoder=encoder,
         )
     except (ValueError, KeyError, TypeError, RecursionError, OverflowError, MaterialError) as error:
         why = f"{error} is missing" if isinstance(error, KeyError) else str(error).rstrip(".")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..errors import FileError, MaterialError
 from ..files import content_hash
 from .mechanics import Mechanics
-from .token import ENCODER_ID, TOKEN_DIM
+from .token import ENCODER_ID, ENCODER_NAMES, TOKEN_DIM, joined_encoders, split_encoders
 
 PALETTE_SCHEMA = 1
 MERGE_TOLERANCE = 0.01
@@ -24,8 +24,8 @@ _REMEDY = "Bake the object again."
 
 @dataclass(frozen=True, eq=False)
 class Palette:
-    """tokens: (P, TOKEN_DIM) float32. mechanics, names: P each. schema: of the stored form. encoder_id: identity of
-    the E that wrote the tokens. Two palettes are equal when their contents are, bit for bit.
+    """tokens: (P, TOKEN_DIM) float32. mechanics, names: P each. schema: of the stored form. encoder_id: the makes of E
+    that wrote the tokens (token.joined_encoders). Two palettes are equal when their contents are, bit for bit.
 
     Raises MaterialError when the parts do not fit together or a token is not finite.
     """
@@ -95,10 +95,15 @@ class Palette:
                 raise ValueError("its digest does not match its contents")
         except (ValueError, KeyError, TypeError, RecursionError, MaterialError) as error:
             raise FileError(f"the stored palette is damaged ({error}).", remedy=_REMEDY) from error
-        if schema != PALETTE_SCHEMA or encoder != ENCODER_ID:
+        try:
+            split_encoders(encoder)
+            known = schema == PALETTE_SCHEMA
+        except ValueError:
+            known = False
+        if not known:
             raise FileError(
                 f"the stored palette has schema {schema} and encoder '{encoder}'; this version reads schema "
-                f"{PALETTE_SCHEMA} and '{ENCODER_ID}'.",
+                f"{PALETTE_SCHEMA} and {' and '.join(ENCODER_NAMES)}.",
                 remedy=_REMEDY,
             )
         return palette
@@ -121,11 +126,13 @@ def build_palette(
     mechanics: Sequence[Mechanics],
     names: Sequence[str],
     tolerance: float = MERGE_TOLERANCE,
+    encoders: Iterable[str] = (ENCODER_ID,),
 ) -> tuple[Palette, NDArray[np.int32]]:
     """A palette of n materials with near-equal ones merged, and the index (n,) int32 of each in it.
 
     Two merge when name and mechanics are equal and no feature differs by more than tolerance from the first of them,
-    which is the one kept. The order of first appearance is kept, so equal input gives equal palettes.
+    which is the one kept. The order of first appearance is kept, so equal input gives equal palettes. encoders: names
+    of the makes of E that any of the tokens came from. Raises ValueError for a make that does not exist.
     """
     kept: list[int] = []
     index = np.empty(len(tokens), dtype=np.int32)
@@ -139,7 +146,13 @@ def build_palette(
             index[i] = len(kept)
             kept.append(i)
     table = np.array([tokens[k] for k in kept], dtype=np.float32).reshape(len(kept), TOKEN_DIM)
-    return Palette(table, tuple(mechanics[k] for k in kept), tuple(names[k] for k in kept)), index
+    palette = Palette(
+        table,
+        tuple(mechanics[k] for k in kept),
+        tuple(names[k] for k in kept),
+        encoder_id=joined_encoders(encoders),
+    )
+    return palette, index
 
 
 def _or_nan(value: float | None) -> float:

@@ -14,6 +14,7 @@ and two statistics of the resolved height field: skewness (pits below 0, grains 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +33,11 @@ TOKEN_DIM = len(TOKEN_NAMES)
 SMOOTH_LEVEL = -9.0
 """Level of a band with nothing in it (1 nm RMS): the floor, so that log10 stays finite."""
 ENCODER_ID = "band-descriptor-1"
-"""Identity of E; weights name it and are refused with any other."""
+"""The make of E that described the library (encoder.py); weights that were not trained on its tokens are refused."""
+ALEXNET_ID = "alexnet-bands-1"
+"""The make of E that is a network (alexnet/)."""
+ENCODER_NAMES = (ENCODER_ID, ALEXNET_ID)
+"""All makes: they write the one layout below, and what keeps a token names the make that it came from."""
 
 
 @dataclass(frozen=True)
@@ -51,3 +56,19 @@ LEVELS = slice(0, len(BAND_WAVELENGTHS_M) * len(BAND_FEATURES), len(BAND_FEATURE
 def band_slice(band: int) -> slice:
     """Where band's features stand in a token."""
     return slice(band * len(BAND_FEATURES), (band + 1) * len(BAND_FEATURES))
+
+
+def joined_encoders(names: Iterable[str]) -> str:
+    """One text for the makes that a set of tokens came from, in a fixed order. Raises ValueError for an unknown one."""
+    wanted = set(names)
+    if not wanted <= set(ENCODER_NAMES):
+        raise ValueError(f"unknown encoder {min(wanted - set(ENCODER_NAMES))!r}")
+    return "+".join(name for name in ENCODER_NAMES if name in wanted)
+
+
+def split_encoders(text: str) -> tuple[str, ...]:
+    """What joined_encoders joined. Raises ValueError where the text is nothing that it gives."""
+    names = tuple(text.split("+"))
+    if joined_encoders(names) != text:
+        raise ValueError(f"{text!r} names no encoders of this version")
+    return names

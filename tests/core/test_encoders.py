@@ -11,16 +11,15 @@ from hypothesis import strategies as st
 from hnf_core.errors import FileError, UsageError, WeightsError
 from hnf_core.material.alexnet.network import CONTRAST_FLOOR, LEVEL_AT, OUTPUTS, target_outputs, token_values
 from hnf_core.material.alexnet.reading import describe_by_alexnet
-from hnf_core.material.alexnet.weights import ALEXNET_ID, load_encoder, save_encoder
+from hnf_core.material.alexnet.weights import load_encoder, save_encoder
 from hnf_core.material.encoder import describe, smooth_token_values
 from hnf_core.material.encoders import (
     DEFAULT_NAMES,
-    ENCODER_NAMES,
     default_encoder,
     describe_with,
     encoder_by_name,
 )
-from hnf_core.material.token import ENCODER_ID, LEVELS, TOKEN_DIM, band_slice
+from hnf_core.material.token import ALEXNET_ID, ENCODER_ID, ENCODER_NAMES, LEVELS, TOKEN_DIM, band_slice
 from hnf_core.tactile.height import tactile_map_from_height, unresolved_tactile_map
 from hnf_core.tactile.tactile_map import Route, TactileMap
 from hnf_core.tactile.views import PITCHES_M

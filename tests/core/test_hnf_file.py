@@ -27,7 +27,7 @@ from hnf_core.material.hnf_file import (
 from hnf_core.material.library import find, load_library
 from hnf_core.material.material import Appearance
 from hnf_core.material.mechanics import Mechanics
-from hnf_core.material.token import ENCODER_ID, TOKEN_DIM, Token, band_slice
+from hnf_core.material.token import ALEXNET_ID, ENCODER_ID, TOKEN_DIM, Token, band_slice
 
 OAK = from_library(find("oak-wood"), "CC0-1.0")
 
@@ -134,6 +134,13 @@ def test_a_huge_file_is_not_read_whole(tmp_path: Path) -> None:
         stream.truncate(1 << 33)  # sparse
     with pytest.raises(FileError, match="larger than any material, or something else"):
         read_hnf(path)
+
+
+def test_a_file_names_the_makes_of_its_token() -> None:
+    made = replace(OAK, encoder=ALEXNET_ID)
+    assert parse_hnf(made.to_bytes(), "here").encoder == ALEXNET_ID
+    assert made != OAK
+    assert parse_hnf(OAK.to_bytes(), "here").encoder == ENCODER_ID
 
 
 def test_another_encoder_is_refused_and_named() -> None:

@@ -9,7 +9,7 @@ from hypothesis.extra import numpy as hnp
 from hnf_core.errors import FileError, MaterialError
 from hnf_core.material.mechanics import UNKNOWN, Mechanics
 from hnf_core.material.palette import MERGE_TOLERANCE, Palette, build_palette
-from hnf_core.material.token import TOKEN_DIM
+from hnf_core.material.token import ALEXNET_ID, ENCODER_ID, TOKEN_DIM, split_encoders
 
 finite = st.floats(-100, 100, width=32)
 values = st.none() | st.floats(1e-3, 1e6)
@@ -81,6 +81,16 @@ def test_another_encoder_or_schema_is_refused_by_name(pair):
     later = Palette(pair.tokens, pair.mechanics, pair.names, schema=99)
     with pytest.raises(FileError, match="schema 99"):
         Palette.from_bytes(later.to_bytes())
+
+
+@pytest.mark.parametrize("names", [(ENCODER_ID,), (ALEXNET_ID,), (ALEXNET_ID, ENCODER_ID)])
+def test_a_palette_keeps_the_makes_of_its_tokens(pair, names):
+    made = build_palette(list(pair.tokens), pair.mechanics, pair.names, encoders=names)[0]
+    again = Palette.from_bytes(made.to_bytes())
+    assert set(split_encoders(again.encoder_id)) == set(names)
+    assert (again == pair) == (names == (ENCODER_ID,))
+    with pytest.raises(ValueError, match="unknown encoder 'other'"):
+        build_palette(list(pair.tokens), pair.mechanics, pair.names, encoders=("other",))
 
 
 def test_other_programs_can_read_the_stored_form(pair):

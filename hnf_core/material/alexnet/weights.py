@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from ...errors import FileError, WeightsError
 from ...files import content_hash, write_bytes
+from ..token import ALEXNET_ID
 from .network import AlexNet, Design
 
-ALEXNET_ID = "alexnet-bands-1"
-"""The make, as bakes and fields name it: the architecture and the tokens that it is taught to give."""
 DEFAULT_ENCODER = Path(__file__).parents[2] / "data" / "encoder.safetensors"
 FORMAT = "hnf-encoder-1"
 _AGAIN = "Train it again with `hnf train encoder`, or choose another file."

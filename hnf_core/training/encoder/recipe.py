@@ -9,8 +9,8 @@ from ...datasets.tactile_pairs import HELD_OUT_INSTANCES, TRAIN, load_pairs
 from ...errors import FileError
 from ...material.alexnet.network import IMAGENET_DEVIATION, IMAGENET_MEAN, AlexNet, Design
 from ...material.alexnet.reading import describe_by_alexnet
-from ...material.alexnet.weights import ALEXNET_ID
 from ...material.encoders import Encoder
+from ...material.token import ALEXNET_ID
 from .fit import Schedule, Watch, fit
 from .judge import Errors, errors_in_words, judge
 from .trunk_file import load_trunk
