@@ -47,9 +47,7 @@ def test_a_field_without_a_word_of_encoders_knows_the_librarys(tmp_path):
 
 
 def test_tokens_of_another_make_are_refused_in_words():
-    with pytest.raises(
-        WeightsError, match="trained on tokens of encoder 'band-descriptor-1'.*'alexnet-bands-1'"
-    ) as caught:
+    with pytest.raises(WeightsError, match=r"of encoder 'band-descriptor-1', .*'alexnet-bands-1'") as caught:
         refuse_other_encoders(named(ENCODER_ID), (ENCODER_ID, ALEXNET_ID), "f.safetensors")
     assert caught.value.remedy
 
