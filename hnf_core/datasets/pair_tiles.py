@@ -41,8 +41,10 @@ LAST_FIRST_SEED = 3_000_000
 PATCHES = 2
 """Tiles of each held-out instance; the second is the floor of the first."""
 LEVEL_DECADES = (-1.1, 0.3)
+"""By how much a random surface is scaled, uniformly: recipes are rough, silk is 0.2 µm."""
 FUSION_BORDER_M = (0.2e-3, 6e-3)
-"""Random surfaces: scaled, and every second one fused of two, as training.surfaces does."""
+"""Every second random surface is fused of two, because tokens in use are: measured long waves of a bake with a library
+material's short waves."""
 BLUR_PIXELS = (0.0, 0.6)
 NOISE = (0.0, 0.012)
 """Of the camera, per view: standard deviations in view pixels, and of linear colour at white."""

@@ -12,19 +12,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ..datasets.pair_tiles import FUSION_BORDER_M, LEVEL_DECADES, fuse
 from ..material.encoder import describe
 from ..material.mechanics import Mechanics
 from ..simulation.classes import classes, instance, seed_of
 from ..simulation.recipes import random_recipe
 from ..simulation.sampling import SmoothedMaps
-from ..simulation.surface import TILE_PIXELS, TILE_SIZE_M, SurfaceRecipe, height_map, wavenumbers
+from ..simulation.surface import TILE_SIZE_M, SurfaceRecipe, height_map
 from ..tactile.height import tactile_map_from_height
 
 Float = NDArray[np.float64]
-
-LEVEL_DECADES = (-1.1, 0.3)
-"""By how much a random surface is scaled, uniformly: recipes are rough, silk is 0.2 µm."""
-FUSION_BORDER_M = (0.2e-3, 6e-3)
 
 
 @dataclass(frozen=True)
@@ -113,11 +110,3 @@ def _made(jobs: list[Job], workers: int) -> list[Surface]:
 
 def _make(job: Job) -> Surface:
     return make_surface(*job)
-
-
-def fuse(low: NDArray[np.float32], high: NDArray[np.float32], border_per_m: float) -> NDArray[np.float32]:
-    """Waves longer than 1 / border from one map, shorter ones from another."""
-    kx, ky = wavenumbers(TILE_PIXELS, TILE_SIZE_M)
-    keep = np.hypot(kx, ky) < border_per_m
-    spectrum = np.where(keep, np.fft.rfft2(low), np.fft.rfft2(high))
-    return np.asarray(np.fft.irfft2(spectrum, low.shape), dtype=np.float32)
