@@ -183,11 +183,14 @@ class _Run:
         tensors = {name: torch.from_numpy(np.array(value)) for name, value in found.tensors.items()}
         for prefix, encoder in (("vision.", self.vision), ("touch.", self.touch)):
             encoder.load_state_dict({n.removeprefix(prefix): v for n, v in tensors.items() if n.startswith(prefix)})
+        # The fused optimiser walks through memory: moments must lie as their parameter does.
+        parameters = [each for group in self.optimiser.param_groups for each in group["params"]]
         state: dict[int, dict[str, torch.Tensor]] = {}
         for name, value in tensors.items():
             if name.startswith("adam."):
                 _, index, key = name.split(".")
-                state.setdefault(int(index), {})[key] = value
+                own = torch.empty(()) if key == "step" else torch.empty_like(parameters[int(index)])
+                state.setdefault(int(index), {})[key] = own.copy_(value.reshape(own.shape))
         self.optimiser.load_state_dict({**self.optimiser.state_dict(), "state": state})
-        self.seconds = float(tensors["seconds"])
+        self.seconds = float(tensors["seconds"].item())
         self.history = [tuple(row) for row in found.history.tolist()]

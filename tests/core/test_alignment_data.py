@@ -1,0 +1,173 @@
+"""What the aligned encoders are shown: turned, cut, lit by other lamps, and no place under two sensors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from alignment_pairs import MET, grooved_pairs, write_pairs
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+torch = pytest.importorskip("torch", reason="alignment trains with torch")
+
+from hnf_core.datasets.tactile_pairs import PAIR_SENSORS, encoded_rgb  # noqa: E402
+from hnf_core.datasets.vision_touch import VisionTouchPair  # noqa: E402
+from hnf_core.errors import FileError, UsageError  # noqa: E402
+from hnf_core.tactile.lamps import varied  # noqa: E402
+from hnf_core.tactile.optics import SENSORS, gel_gradients, shade  # noqa: E402
+from hnf_core.training.alignment.batches import (  # noqa: E402
+    LOOK_MEAN,
+    LOOK_SCALE,
+    TOUCH_FLOOR,
+    TOUCH_SCALE,
+    plain_batch,
+    training_batch,
+)
+from hnf_core.training.alignment.data import labelled, open_source  # noqa: E402
+from hnf_core.training.alignment.pictures import NOISE, RecordedPictures, pressed, turned, turned_slopes  # noqa: E402
+from hnf_core.training.alignment.tuples import NO_LABEL, Tuples, dealt, recorded, under  # noqa: E402
+
+
+@given(st.integers(0, 7), st.integers(0, 2**31))
+@settings(max_examples=20, deadline=None)
+def test_slopes_turn_as_the_surface_does(turn: int, seed: int) -> None:
+    """Away from the border, where a field that is no tile is continued."""
+    height = np.random.default_rng(seed).standard_normal((16, 16)).cumsum(axis=0).cumsum(axis=1) * 1e-6
+    sensor = SENSORS["digit"]
+    of_turned = gel_gradients(turned(height, turn), 1e-5, sensor)
+    turned_of = turned_slopes(np.array(gel_gradients(height, 1e-5, sensor)), turn)
+    assert np.allclose(np.array(of_turned)[:, 4:-4, 4:-4], np.array(turned_of)[:, 4:-4, 4:-4], rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", PAIR_SENSORS)
+def test_a_pressed_sensor_is_the_optics_less_the_untouched_picture(name: str) -> None:
+    slopes = np.random.default_rng(0).uniform(-0.5, 0.5, (2, 64, 64)).astype(np.float32)
+    piece = varied(SENSORS[name], np.random.default_rng(7))
+    plain = shade(slopes[0], slopes[1], piece) - piece.background
+    shown = pressed(slopes, SENSORS[name], 0, np.random.default_rng(7))
+    noise = shown - plain
+    assert noise.std() == pytest.approx(NOISE, rel=0.05)
+    assert abs(noise.mean()) < NOISE / 20
+    other = pressed(slopes, SENSORS[name], 0, np.random.default_rng(8))
+    assert (other - shown).std() > 2 * NOISE  # noise alone: √2
+
+
+def test_no_place_is_touched_by_both_sensors_and_each_class_by_both() -> None:
+    pairs = grooved_pairs(41, MET[:3], 0)
+    tuples = dealt(pairs, MET[:3])
+    assert len(tuples) == len(pairs)
+    tile = pairs.tile_index[tuples.row]
+    assert all(len(set(tuples.sensor[tile == each])) == 1 for each in np.unique(tile))
+    for label in range(3):
+        mine = tuples.label == label
+        shares = np.bincount(tuples.sensor[mine], minlength=2)
+        assert abs(int(shares[0]) - int(shares[1])) <= 4
+    assert set(tuples.label[tile == 40]) == {NO_LABEL}
+    one = tuples.of_sensor("digit")
+    assert set(one.sensor) == {PAIR_SENSORS.index("digit")}
+    with pytest.raises(UsageError, match="no gelsight picture"):
+        one.of_sensor("gelsight")
+
+
+def test_pieces_are_groups_and_only_classes_asked_for_are_judged() -> None:
+    pairs = grooved_pairs(13, MET[:3], 0)
+    judged = under(pairs, "gelsight", MET[:3])
+    assert len(judged) == 48
+    assert len(set(judged.group)) == 6
+    assert all(len(set(judged.label[judged.group == group])) == 1 for group in set(judged.group))
+    assert len(under(pairs, "digit", MET[1:3])) == 32
+
+
+class Marked:
+    """Pictures whose every pixel says where it comes from, the same for look and touch."""
+
+    turns = 8
+    mark = np.arange(64 * 64, dtype=np.float32).reshape(64, 64)
+
+    def rgb(self, rows: np.ndarray, turn: np.ndarray) -> np.ndarray:
+        return np.stack([np.repeat(turned(self.mark, way)[..., None], 3, axis=-1) for way in turn])
+
+    def touch(self, rows: np.ndarray, sensor: np.ndarray, turn: np.ndarray, rng: object) -> np.ndarray:
+        return self.rgb(rows, turn)
+
+
+def marked(count: int) -> Tuples:
+    rows = np.arange(count)
+    return Tuples(Marked(), rows, rows % 2, rows, rows, tuple(map(str, rows)))
+
+
+def test_look_and_touch_are_turned_and_cut_alike() -> None:
+    batch = training_batch(marked(16), np.arange(16), 40, np.random.default_rng(0))
+    assert batch.vision.shape == batch.touch.shape == (16, 3, 40, 40)
+    assert batch.vision.is_contiguous(memory_format=torch.channels_last)
+    looks = batch.vision[:, 0].numpy() * LOOK_SCALE + LOOK_MEAN
+    marks = np.sinh(batch.touch[:, 0].numpy().astype(np.float64) * TOUCH_SCALE) * TOUCH_FLOOR
+    seen = set()
+    for look, mark in zip(looks, marks, strict=True):
+        gain = look.sum() / mark.sum()
+        assert np.allclose(look, gain * mark, rtol=1e-3, atol=gain)
+        seen.add(tuple(np.rint([mark[0, 1] - mark[0, 0], mark[1, 0] - mark[0, 0]]).astype(int)))
+    assert len(seen) >= 4  # several of the eight turns
+    plain = plain_batch(marked(2), np.arange(2), 40, np.random.default_rng(0))
+    middle = (plain.vision[0, 0].numpy() * LOOK_SCALE + LOOK_MEAN) * 255.0
+    assert np.allclose(middle, Marked.mark[12:52, 12:52], rtol=1e-5, atol=1e-2)
+
+
+def test_equal_seeds_give_equal_batches() -> None:
+    tuples = dealt(grooved_pairs(4, MET[:2], 0), MET)
+    one, same, other = (training_batch(tuples, np.arange(8), 48, np.random.default_rng(seed)) for seed in (1, 1, 2))
+    assert torch.equal(one.touch, same.touch)
+    assert torch.equal(one.vision, same.vision)
+    assert not torch.equal(one.touch, other.touch)
+
+
+def a_pair(sensor: str, label: str | None, where: str, background: bool) -> VisionTouchPair:
+    rng = np.random.default_rng(len(where))
+    look = rng.uniform(0.0, 1.0, (80, 100, 3)).astype(np.float32)
+    touch = (0.3 + 0.1 * rng.uniform(-1.0, 1.0, (96, 70, 3))).astype(np.float32)
+    flat = np.full_like(touch, 0.3) if background else None
+    return VisionTouchPair(look, None, touch, flat, sensor, label, where, None)  # type: ignore[arg-type]
+
+
+def test_recordings_are_squares_less_their_background() -> None:
+    pytest.importorskip("PIL", reason="pictures are resized by Pillow")
+    pairs = [
+        a_pair("gelsight", "oak", "a", True),
+        a_pair("digit", None, "bb", False),
+        a_pair("digit", "fir", "a", True),
+    ]
+    tuples = recorded(pairs, ("fir", "oak"))
+    assert tuples.label.tolist() == [1, NO_LABEL, 0]
+    assert tuples.sensor.tolist() == [0, 1, 1]
+    assert tuples.group.tolist() == [0, 1, 0]
+    pictures = tuples.pictures
+    assert isinstance(pictures, RecordedPictures)
+    assert pictures.looks.shape == pictures.touches.shape == (3, 64, 64, 3)
+    assert pictures.turns == 1
+    assert abs(float(pictures.touches[1].astype(float).mean())) < 1e-3
+    square = pairs[0].rgb[:, 10:90]
+    assert float((pictures.looks[0] / 255.0).mean()) == pytest.approx(
+        float((encoded_rgb(square) / 255.0).mean()), rel=0.05
+    )
+    with pytest.raises(UsageError, match="no vision–touch pairs"):
+        recorded([], ())
+
+
+def test_a_folder_of_generated_pairs_is_a_source(tmp_path) -> None:
+    write_pairs(tmp_path)
+    source = open_source([[str(tmp_path)]])
+    learn, judged = source.learn(), source.judge()
+    assert len(learn) == 96
+    assert set(learn.label) == {NO_LABEL, 0, 1, 2}
+    assert learn.classes == MET
+    assert {name: len(each) for name, each in judged.known.items()} == {"gelsight": 92, "digit": 92}
+    assert {name: len(each) for name, each in judged.unseen.items()} == {"gelsight": 92, "digit": 92}
+    assert judged.touched is not None
+    few = labelled(learn, 20, 0)
+    assert len(few) == 20
+    assert few.label.min() >= 0
+    with pytest.raises(FileError, match="no tactile pairs here"):
+        open_source([[str(tmp_path / "none")]]).learn()
+    for bad in ([["pairs"]], [["tarf"]], [["hatt", "a"]], [["pairs", "a"], ["tarf", "b"]], [["a", "b"]]):
+        with pytest.raises(UsageError):
+            open_source(bad)
