@@ -35,7 +35,8 @@ PATCH_PIXELS = 512
 class TouchedObject:
     """An object as strokes of this run meet it. shape_hash: of its geometry. shader_hashes: by material slot.
     place_hash: where its shaders look at the world, of its place in it, else "". frame: scene frame, None = still.
-    chosen: what the artist said on the materials themselves, by slot: library material, definition, "" = nothing."""
+    chosen: what the artist said on the materials themselves, by slot: library material, definition, "" = nothing.
+    pictures: names of the textures that feed each slot's shader."""
 
     obj: Any
     surface: Surface
@@ -45,6 +46,7 @@ class TouchedObject:
     metres_per_unit: float
     frame: float | None = None
     chosen: tuple[str | MaterialFile, ...] = ()
+    pictures: tuple[tuple[str, ...], ...] = ()
 
 
 def patch_key(touched: TouchedObject, patch: Patch, encoder: str = ENCODER_ID) -> str:
@@ -94,12 +96,21 @@ def bake_patches(
                 found[key] = _record(closeup, touched.surface, seeing.measured, counts)
                 save_patch(folder, key, found[key])
             if patch.slot not in chosen:
-                found[key] = _seen(found[key], key, folder, seeing, counts)
+                found[key] = _seen(found[key], key, noise_seed(touched, patch), folder, seeing, counts)
             yield done / len(wanted)
     return tuple(found[key] for key in keys)
 
 
-def _seen(record: PatchRecord, key: str, folder: Path, seeing: Seeing, counts: Counts) -> PatchRecord:
+def noise_seed(touched: TouchedObject, patch: Patch) -> int:
+    """Of a patch's prediction: of its material and its place on the surface to a millimetre. patch_key takes in every
+    digit; a scene that is moved is rounded otherwise, and must feel as it did."""
+    shader = touched.shader_hashes[patch.slot] if patch.slot < len(touched.shader_hashes) else ""
+    # Off the grid: people like round numbers, which would lie on its borders.
+    place = np.floor(patch.centre * 1e3 + 0.317).astype(int)
+    return int(content_hash(shader, repr(place.tolist()))[:15], 16)
+
+
+def _seen(record: PatchRecord, key: str, seed: int, folder: Path, seeing: Seeing, counts: Counts) -> PatchRecord:
     """record with what can be estimated from its picture: from the store, else by one call of D_φ."""
     if record.look is None or seeing.missing:
         return record
@@ -109,7 +120,7 @@ def _seen(record: PatchRecord, key: str, folder: Path, seeing: Seeing, counts: C
         views = seeing.views_of(record.look, record.mask, record.metres_per_pixel)
         if not views:
             return record
-        prediction = seeing.predict(record.look, views, seed=int(key[:15], 16))
+        prediction = seeing.predict(record.look, views, seed)
         counts.diffusion_calls += 1
         counts.tokens += 1
         save_prediction(folder, name, prediction)

@@ -69,14 +69,15 @@ class Seeing:
         return cut_views(look.linear, depth, mask, metres_per_pixel, look.resolved_wavelength_m)
 
     def predict(self, look: Look, views: tuple[LookView, ...], seed: int) -> Prediction:
-        """One call of D_φ for all views of a patch, then E of each map, merged. Equal input gives equal bytes.
+        """One call of D_φ for all views of a patch, then E of each map, merged. Equal input gives equal bytes. seed: of
+        the patch; each view has noise of its own.
 
         Raises FileError or WeightsError where the weights cannot be used.
         """
         weights = _read(self._path, self.weights_hash)
         maps = [
             replace(each, resolved_wavelength_m=max(each.resolved_wavelength_m, look.resolved_wavelength_m))
-            for each in predict(weights, views, SENSOR, seed=seed)
+            for each in predict(weights, views, SENSOR, seed=range(seed, seed + len(views)))
         ]
         token = describe_with(self.predicted, maps)
         return Prediction(
