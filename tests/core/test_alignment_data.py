@@ -20,10 +20,10 @@ from hnf_core.training.alignment.batches import (  # noqa: E402
     LOOK_SCALE,
     TOUCH_FLOOR,
     TOUCH_SCALE,
-    plain_batch,
     training_batch,
 )
 from hnf_core.training.alignment.data import labelled, open_source  # noqa: E402
+from hnf_core.training.alignment.embedding import corners  # noqa: E402
 from hnf_core.training.alignment.pictures import NOISE, RecordedPictures, pressed, turned, turned_slopes  # noqa: E402
 from hnf_core.training.alignment.tuples import NO_LABEL, Tuples, dealt, recorded, under  # noqa: E402
 
@@ -108,9 +108,14 @@ def test_look_and_touch_are_turned_and_cut_alike() -> None:
         assert np.allclose(look, gain * mark, rtol=1e-3, atol=gain)
         seen.add(tuple(np.rint([mark[0, 1] - mark[0, 0], mark[1, 0] - mark[0, 0]]).astype(int)))
     assert len(seen) >= 4  # several of the eight turns
-    plain = plain_batch(marked(2), np.arange(2), 40, np.random.default_rng(0))
-    middle = (plain.vision[0, 0].numpy() * LOOK_SCALE + LOOK_MEAN) * 255.0
-    assert np.allclose(middle, Marked.mark[12:52, 12:52], rtol=1e-5, atol=1e-2)
+
+
+@pytest.mark.parametrize(("pixels", "count"), [(64, 1), (40, 4), (32, 4)])
+def test_corners_cover_the_picture(pixels: int, count: int) -> None:
+    pictures = np.arange(2 * 64 * 64 * 3, dtype=np.float32).reshape(2, 64, 64, 3)
+    found = corners(pictures, pixels)
+    assert [each.shape for each in found] == [(2, pixels, pixels, 3)] * count
+    assert len(np.unique(np.concatenate([each.ravel() for each in found]))) == pictures.size
 
 
 def test_equal_seeds_give_equal_batches() -> None:
@@ -162,7 +167,10 @@ def test_a_folder_of_generated_pairs_is_a_source(tmp_path) -> None:
     assert learn.classes == MET
     assert {name: len(each) for name, each in judged.known.items()} == {"gelsight": 92, "digit": 92}
     assert {name: len(each) for name, each in judged.unseen.items()} == {"gelsight": 92, "digit": 92}
-    assert judged.touched is not None
+    assert judged.apart is not None
+    gelsight, digit = (set(judged.known[name].row[judged.apart[name]]) for name in PAIR_SENSORS)
+    assert not gelsight & digit
+    assert len(gelsight | digit) == 92
     few = labelled(learn, 20, 0)
     assert len(few) == 20
     assert few.label.min() >= 0

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 pytest.importorskip("torch", reason="alignment trains with torch")
 
-from hnf_core.training.alignment.batches import Embedded
 from hnf_core.training.alignment.bridge import agreement, nearest, triplets
 from hnf_core.training.alignment.heads import LOOKS, REFITTED, TOUCH, VISION, Seen, folded, probed
 from hnf_core.training.alignment.measure import Bridged, Measured
@@ -133,7 +132,7 @@ def seen(rng: np.random.Generator, label: np.ndarray, turn: np.ndarray, noise: f
     """Looks that show the class, touches that show it through a turn of the space."""
     looks = np.eye(8)[label] + noise * rng.standard_normal((len(label), 8))
     touches = (np.eye(8)[label] + noise * rng.standard_normal((len(label), 8))) @ turn
-    return Seen(Embedded(looks, touches), label, np.arange(len(label)) // 2, 4)
+    return Seen(looks, touches, label, np.arange(len(label)) // 2, 4)
 
 
 def test_a_probe_of_one_sensor_fails_where_the_other_is_turned_and_a_refitted_one_does_not() -> None:
@@ -159,7 +158,7 @@ def test_folds_never_see_the_pieces_they_judge() -> None:
     piece = np.repeat(np.arange(160), 4)
     label = rng.integers(0, 4, 160)[piece]
     looks = rng.standard_normal((160, 8))[piece]
-    found = folded({"gelsight": Seen(Embedded(looks, looks), label, piece, 4)}, ("gelsight",))
+    found = folded({"gelsight": Seen(looks, looks, label, piece, 4)}, ("gelsight",))
     assert found[TOUCH, "gelsight"].correct.mean() == pytest.approx(0.25, abs=0.1)
 
 

@@ -15,8 +15,8 @@ torch = pytest.importorskip("torch", reason="alignment trains with torch")
 from hnf_core.cli.main import main  # noqa: E402
 from hnf_core.errors import FileError, UsageError, WeightsError  # noqa: E402
 from hnf_core.training.alignment import train  # noqa: E402
-from hnf_core.training.alignment.batches import embed  # noqa: E402
 from hnf_core.training.alignment.data import open_source  # noqa: E402
+from hnf_core.training.alignment.embedding import embed_looks, embed_touches  # noqa: E402
 from hnf_core.training.alignment.encoders import Architecture, Encoder  # noqa: E402
 from hnf_core.training.alignment.models import load_models, save_models  # noqa: E402
 from hnf_core.training.alignment.retrieval import recall  # noqa: E402
@@ -57,8 +57,8 @@ def test_the_right_touch_is_found_after_training(tuples, chunk: int) -> None:
     assert losses[-10:].mean() < np.log(16) - 0.1  # what knowing nothing costs
     assert fitted.history[:, 0].tolist() == list(range(1, 61))
     assert not fitted.vision.training
-    seen = embed(fitted.vision, fitted.touch, tuples, 32, 0)
-    assert recall(seen.vision, seen.touch, (10,))[10] > 0.19  # chance 0.10, three deviations 0.09
+    looks, touches = embed_looks(fitted.vision, tuples, 32), embed_touches(fitted.touch, tuples, 32, 0)
+    assert recall(looks, touches, (10,))[10] > 0.19  # chance 0.10, three deviations 0.09
 
 
 def test_equal_seeds_give_equal_weights_and_others_do_not(tuples) -> None:

@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...datasets.hatt_touch import HattTouchFolder
 from ...datasets.tactile_pairs import (
@@ -34,12 +35,12 @@ MET = tuple(name for name in classes() if name not in UNSEEN_CLASSES)
 @dataclass(frozen=True)
 class Judged:
     """known: sensor → tuples of new pieces or places; unseen: of classes that encoders have not met, empty where there
-    are none. touched: known pieces, each place by one sensor, the two sensors on different places of the same pieces,
-    for bridging; None where only one sensor touched."""
+    are none. apart: for bridging, sensor → which of its known tuples to take, so that no place is touched by both; None
+    where only one sensor touched."""
 
     known: Mapping[str, Tuples]
     unseen: Mapping[str, Tuples]
-    touched: Tuples | None
+    apart: Mapping[str, NDArray[np.bool_]] | None
 
 
 class Source(Protocol):
@@ -91,10 +92,12 @@ class GeneratedSource:
     def judge(self) -> Judged:
         pairs = load_pairs(self.folder, HELD_OUT_INSTANCES)
         strangers = load_pairs(self.folder, HELD_OUT_CLASSES)
+        known = {sensor: under(pairs, sensor, MET) for sensor in PAIR_SENSORS}
+        patch = pairs.patch[pairs.tile_index]
         return Judged(
-            known={sensor: under(pairs, sensor, MET) for sensor in PAIR_SENSORS},
+            known=known,
             unseen={sensor: under(strangers, sensor, UNSEEN_CLASSES) for sensor in PAIR_SENSORS},
-            touched=dealt(pairs, MET),
+            apart={sensor: patch[known[sensor].row] == side for side, sensor in enumerate(PAIR_SENSORS)},
         )
 
 
@@ -113,11 +116,10 @@ class RecordedSource:
         met = _labels([part for one in self.sets for part in _parts(*one, "train")])
         tuples = self._read([part for one in self.sets for part in _parts(*one, "test")], met)
         touched = [make for make in range(len(PAIR_SENSORS)) if (tuples.sensor == make).any()]
-        return Judged(
-            known={PAIR_SENSORS[make]: tuples.of_sensor(PAIR_SENSORS[make]) for make in touched},
-            unseen={},
-            touched=tuples if len(touched) == len(PAIR_SENSORS) and (tuples.label >= 0).all() else None,
-        )
+        known = {PAIR_SENSORS[make]: tuples.of_sensor(PAIR_SENSORS[make]) for make in touched}
+        named = {sensor: each.label >= 0 for sensor, each in known.items()}
+        both = len(named) == len(PAIR_SENSORS) and all(each.any() for each in named.values())
+        return Judged(known, {}, named if both else None)
 
     def _read(self, parts: Sequence[FilePairs], met: Sequence[str]) -> Tuples:
         skipped: list[FileError] = []

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .batches import Embedded
 from .probe import Probe, chosen_probe
 from .statistics import Hits
 
 Rows = NDArray[np.int64]
+Float32 = NDArray[np.float32]
 Cell = tuple[str, str]
 """Head, and what it is tested on."""
 
@@ -23,27 +23,26 @@ FOLDS = 4
 
 @dataclass(frozen=True)
 class Seen:
-    """n labelled tuples as the encoders see them. label, group: (n,), see Tuples. classes: how many."""
+    """n labelled tuples as the encoders see them. look, touch: (n, d). label, group: (n,), see Tuples. classes: how
+    many."""
 
-    embedded: Embedded
+    look: Float32
+    touch: Float32
     label: Rows
     group: Rows
     classes: int
 
     def take(self, chosen: NDArray[np.generic]) -> Seen:
         return Seen(
-            Embedded(self.embedded.vision[chosen], self.embedded.touch[chosen]),
-            self.label[chosen], self.group[chosen], self.classes,
+            self.look[chosen], self.touch[chosen], self.label[chosen], self.group[chosen], self.classes
         )  # fmt: skip
 
 
 def joined(parts: Sequence[Seen]) -> Seen:
     """One after the other."""
     return Seen(
-        Embedded(
-            np.concatenate([part.embedded.vision for part in parts]),
-            np.concatenate([part.embedded.touch for part in parts]),
-        ),
+        np.concatenate([part.look for part in parts]),
+        np.concatenate([part.touch for part in parts]),
         np.concatenate([part.label for part in parts]),
         np.concatenate([part.group for part in parts]),
         parts[0].classes,
@@ -59,13 +58,13 @@ def probed(fitted: Mapping[str, Seen], tested: Mapping[str, Seen], trained_on: S
     """
     known = joined([fitted[name] for name in trained_on])
     first = next(iter(tested.values()))
-    vision = _fit(known.embedded.vision, known)
-    out = {(VISION, LOOKS): Hits(vision.predict(first.embedded.vision) == first.label, first.group)}
-    touch = _fit(known.embedded.touch, known)
+    vision = _fit(known.look, known)
+    out = {(VISION, LOOKS): Hits(vision.predict(first.look) == first.label, first.group)}
+    touch = _fit(known.touch, known)
     for name, each in tested.items():
-        alone = touch if list(trained_on) == [name] else _fit(fitted[name].embedded.touch, fitted[name])
+        alone = touch if list(trained_on) == [name] else _fit(fitted[name].touch, fitted[name])
         for head, probe in ((TOUCH, touch), (REFITTED, alone)):
-            out[head, name] = Hits(probe.predict(each.embedded.touch) == each.label, each.group)
+            out[head, name] = Hits(probe.predict(each.touch) == each.label, each.group)
     return out
 
 

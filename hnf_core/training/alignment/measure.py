@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...datasets.tactile_pairs import PAIR_SENSORS
-from .batches import Embedded, embed
 from .bridge import agreement, triplets
 from .data import Judged, labelled
+from .embedding import embed_looks, embed_touches
 from .heads import Cell, Seen, folded, probed
 from .models import Models
 from .retrieval import recall
@@ -18,7 +19,7 @@ from .statistics import Hits
 from .tuples import Tuples
 
 KS = (1, 5, 10)
-PROBE_ITEMS = 4000
+PROBE_ITEMS = 3000
 """Labelled tuples of each sensor that probes are fitted to."""
 
 
@@ -54,41 +55,44 @@ def measure(models: Models, learn: Tuples, judged: Judged, seed: int = 0, items:
     unseen classes, which are probed fold by fold. Without labels there are no probes. Raises UsageError where a sensor
     is not in `learn`."""
     trained_on = PAIR_SENSORS if models.sensor == "both" else (models.sensor,)
-
-    def embedded(tuples: Tuples, salt: int) -> Embedded:
-        return embed(models.vision, models.touch, tuples, models.pixels, seed + salt)
-
-    def seen(tuples: Tuples, salt: int) -> Seen:
-        return Seen(embedded(tuples, salt), tuples.label, tuples.group, len(tuples.classes))
-
-    known = {name: seen(each, 2) for name, each in judged.known.items()}
+    known = _seen(models, judged.known, seed)
+    unseen = _seen(models, judged.unseen, seed)
     named = {name: each.take(each.label >= 0) for name, each in known.items() if (each.label >= 0).any()}
     needed = dict.fromkeys((*trained_on, *named)) if named else ()
-    fitted = {name: seen(labelled(learn.of_sensor(name), items, seed), 1) for name in needed}
-    unseen = {name: seen(each, 3) for name, each in judged.unseen.items()}
+    fitted = _seen(models, {name: labelled(learn.of_sensor(name), items, seed) for name in needed}, seed + 1)
     return Measured(
         models.sensor,
         probed(fitted, named, trained_on) if named else {},
         folded(unseen, trained_on) if unseen else {},
-        {name: _recalled(each.embedded) for name, each in known.items()},
+        {name: recalled(each) for name, each in known.items()},
         max(len(each.label) for each in known.values()),
-        None if judged.touched is None else bridged(judged.touched, embedded(judged.touched, 4)),
+        None if judged.apart is None else bridged(*(known[name].take(judged.apart[name]) for name in PAIR_SENSORS)),
     )
 
 
-def _recalled(embedded: Embedded) -> dict[str, dict[int, float]]:
-    return {
-        "look to touch": recall(embedded.vision, embedded.touch, KS),
-        "touch to look": recall(embedded.touch, embedded.vision, KS),
-    }
+def _seen(models: Models, sets: Mapping[str, Tuples], seed: int) -> dict[str, Seen]:
+    """Looks of equal rows are embedded once."""
+    out: dict[str, Seen] = {}
+    looks: dict[bytes, NDArray[np.float32]] = {}
+    for name, tuples in sets.items():
+        key = tuples.row.tobytes()
+        if key not in looks:
+            looks[key] = embed_looks(models.vision, tuples, models.pixels)
+        touch = embed_touches(models.touch, tuples, models.pixels, seed)
+        out[name] = Seen(looks[key], touch, tuples.label, tuples.group, len(tuples.classes))
+    return out
 
 
-def bridged(tuples: Tuples, embedded: Embedded) -> Bridged:
-    """tuples: of both sensors, no place touched by both."""
-    gelsight, digit = (tuples.sensor == make for make in range(len(PAIR_SENSORS)))
-    label, group = (tuples.label[gelsight], tuples.label[digit]), (tuples.group[gelsight], tuples.group[digit])
-    found = triplets(embedded.touch[gelsight], embedded.touch[digit])
-    sure = triplets(embedded.touch[gelsight], embedded.touch[digit], mutual=True)
+def recalled(seen: Seen) -> dict[str, dict[int, float]]:
+    """Both ways."""
+    return {"look to touch": recall(seen.look, seen.touch, KS), "touch to look": recall(seen.touch, seen.look, KS)}
+
+
+def bridged(gelsight: Seen, digit: Seen) -> Bridged:
+    """Patches of both sensors, no place touched by both."""
+    label, group = (gelsight.label, digit.label), (gelsight.group, digit.group)
+    found = triplets(gelsight.touch, digit.touch)
+    sure = triplets(gelsight.touch, digit.touch, mutual=True)
     return Bridged(
         len(found.gelsight), agreement(found, *label), agreement(found, *group),
         float(np.mean(label[0][:, None] == label[1][None, :])), len(sure.gelsight), agreement(sure, *label),
