@@ -82,7 +82,7 @@ def place_near(mesh: TriangleMesh, point: Float, *, where: str = "") -> Place:
     """
     asked = np.asarray(point, dtype=np.float64)[None]
     found = nearest_on_triangles(asked, mesh.corner_positions())
-    off = float(found.distance[0])
+    off = float(found.distance[0]) if len(found.distance) else float("inf")
     if not off <= CONTACT_TOLERANCE_M:
         raise SceneError(
             f"its surface is {off * 1e3:.3g} mm away from the place that was named.",

@@ -1,4 +1,4 @@
-"""`hnf materials`: what the library holds, and one of it as a file."""
+"""`hnf materials`: what the library holds, what of it a name suggests, and one of it as a file."""
 
 from __future__ import annotations
 
@@ -10,9 +10,14 @@ from typing import Any
 from ..errors import UsageError
 from ..material.hnf_file import from_library, write_hnf
 from ..material.library import find, load_library
+from ..material.material import Appearance
+from ..material.prior import NOTHING_TELLS, Suggestion, rank
+from ..material.words import is_picture_name
 
 LICENCE = "GPL-3.0-or-later"
 """Of the library, and so of what is exported from it."""
+SHOWN = 8
+"""Suggestions for a person; --json gives all."""
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
@@ -20,13 +25,21 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         "materials", help="list the library's materials", description="List the materials that --material takes."
     )
     parser.add_argument("--json", action="store_true", help="print a list of objects")
+    parser.add_argument(
+        "--suggest", metavar="WORDS", help="rank the library by a name: of an object, a material or a texture's file"
+    )
     parser.add_argument("--export", metavar="NAME", help="write this material to a file, for --out")
     parser.add_argument("--out", type=Path, metavar="FILE.hnf", help="where --export writes")
     return parser
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """List the library, or with --export write one material. Raises UsageError, MaterialError and FileError."""
+    """List the library, with --suggest rank it, or with --export write one material. Raises UsageError, MaterialError
+    and FileError."""
+    if arguments.suggest is not None:
+        if arguments.export is not None or arguments.out is not None:
+            raise UsageError("--suggest writes nothing.", remedy="Leave out --export and --out.")
+        return _suggest(arguments.suggest, arguments.json)
     if arguments.export is not None or arguments.out is not None:
         return _export(arguments.export, arguments.out)
     library = load_library()
@@ -36,6 +49,36 @@ def run(arguments: argparse.Namespace) -> int:
     width = max(len(material.name) for material in library)
     for material in library:
         print(f"{material.name:<{width}}  {material.category:<8}  {', '.join(material.words)}")
+    return 0
+
+
+def suggestions(words: str) -> tuple[Suggestion, ...]:
+    """The whole library, the most apt first, for a name alone: of a texture's file where it ends like one ("….png"),
+    else of a material. Raises UsageError where it holds no letter."""
+    if not any(letter.isalpha() for letter in words):
+        raise UsageError(f"--suggest {words!r} holds no word.", remedy="Example: --suggest 'old oak table'")
+    if is_picture_name(words):
+        return rank(load_library(), Appearance(), [""], pictures=[words])
+    return rank(load_library(), Appearance(), [words])
+
+
+def _suggest(words: str, as_json: bool) -> int:
+    ranked = suggestions(words)
+    if as_json:
+        category = {material.name: material.category for material in load_library()}
+        records = [
+            {"name": each.name, "category": category[each.name], "confidence": round(each.confidence, 4),
+             "probability": round(each.probability, 4), "reason": each.reason}
+            for each in ranked
+        ]  # fmt: skip
+        print(json.dumps(records, indent=1, ensure_ascii=False))
+        return 0
+    told = [each for each in ranked if each.reason != NOTHING_TELLS][:SHOWN]
+    if not told:
+        print(f"no word of {words!r} names a material that the library knows; hnf materials lists them.")
+    width = max((len(each.name) for each in told), default=0)
+    for each in told:
+        print(f"{each.name:<{width}}  {each.confidence:4.0%}  {each.reason}")
     return 0
 
 

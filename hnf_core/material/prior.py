@@ -1,34 +1,30 @@
 """The prior route: from shading values and names to a ranked list of library materials.
 
 Naive Bayes over the library. Prior: how common a category is in scenes, within it from the usual to the special.
-Words: a word that names a material makes it WORD_ODDS times likelier, less where the word belongs to several
-categories or stands in a less telling name. Shading values: truncated normals around the library's typical value,
-mixed with a uniform one (artists do as they like) and tempered (values hang together). The confidence of a suggestion
-is its expected aptness: 1 where it is right, ALIKE where another material of its category is.
+Words (naming.py): a word that names a material makes it WORD_ODDS times likelier, less where the word belongs to
+several categories or stands in a less telling name. Shading values: truncated normals around the library's typical
+value, mixed with a uniform one (artists do as they like) and tempered (values hang together). Relief (relief.py): how
+well the token of a tactile map fits. The confidence of a suggestion is its expected aptness: 1 where it is right, ALIKE
+where another material of its category is.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import MaterialError
+from ..tactile.tactile_map import Route
 from .material import Appearance, LibraryMaterial
-from .words import CATEGORY_WORDS, OBJECT_WORDS, STOP_WORDS, singulars, split_words
+from .naming import word_hits
+from .relief import relief_log_odds
+from .token import Token
 
 WORD_ODDS = 300.0
-NAME_WEIGHTS = (1.0, 0.6, 0.35)
-"""Exponents of WORD_ODDS for a word in the first name (the material's), the second (the object's), any other."""
-OBJECT_WORD_WEIGHT = 0.55
-"""For words of things and finishes, not stuffs: a lens is mostly glass, satin is often metal."""
-NAME_PART_WEIGHT = 0.4
-"""For parts of a library material's own name: "coarse" says something of coarse-carpet, not much."""
-RELATED_WEIGHT = 0.7
-"""For the others of a category where one of them bears the very word: velvet is also a fabric, but not denim."""
 COMMON = {"plastic": 1.6, "wood": 1.3, "metal": 1.3, "fabric": 1.3, "carpet": 0.7, "foam": 0.5}
 """How often scenes hold a category, against the others' 1: all that is left where nothing else tells."""
 DEFAULT_GREY, DEFAULT_ROUGHNESS = 0.8, 0.5
@@ -36,7 +32,10 @@ DEFAULT_GREY, DEFAULT_ROUGHNESS = 0.8, 0.5
 TEMPER = 0.6
 UNIFORM_FLOOR = 0.03
 ALIKE = 0.85
+NOTHING_TELLS = "nothing in the scene tells"
 REASON_WORDS = 3
+TELLING = 0.4
+"""Log odds of a relief from which it is a reason."""
 SPREAD = {"roughness": 0.18, "metallic": 0.12, "sheen": 0.25, "transmission": 0.2}
 DOUBT = {"roughness": 0.2, "metallic": 0.1, "sheen": 0.2, "transmission": 0.1}
 """Share of the uniform part: how often a value says nothing."""
@@ -60,26 +59,38 @@ COLOR_DOUBT = 0.3
 
 @dataclass(frozen=True)
 class Suggestion:
-    """name: of a library material. confidence: 0–1. reason: for the report, one line."""
+    """name: of a library material. confidence: 0–1. reason: for the report, one line. probability: 0–1, that it is this
+    very material and no other of the library; all of a ranking sum to 1."""
 
     name: str
     confidence: float
     reason: str
+    probability: float
 
 
-def rank(library: Sequence[LibraryMaterial], appearance: Appearance, names: Sequence[str]) -> tuple[Suggestion, ...]:
+def rank(
+    library: Sequence[LibraryMaterial],
+    appearance: Appearance,
+    names: Sequence[str],
+    *,
+    pictures: Sequence[str] = (),
+    token: Token | None = None,
+    route: Route = Route.MEASURED,
+) -> tuple[Suggestion, ...]:
     """All library materials, the most apt first.
 
     appearance: shading values, None = not known (says nothing). names: the material's name first ("" where it has
-    none), then the object's, then those of textures and collections. library: within a category, the usual first.
-    Equal input gives equal order; ties keep the library's. Raises MaterialError on an empty library.
+    none), then the object's, then those of collections. pictures: names of the textures that feed the shader, and of
+    their files. token: of the surface's tactile map, route: how the map came to be known. library: within a category,
+    the usual first. Equal input gives equal order; ties keep the library's. Raises MaterialError on an empty library.
     """
     if not library:
         raise MaterialError("the material library is empty.", remedy="Install the package with its data files.")
-    hits = _word_hits(library, names)
+    hits = word_hits(library, names, pictures)
     appearance = _chosen(appearance)
-    score = _log_prior(library)
     looks = [_appearance_log_odds(material, appearance) for material in library]
+    relief = relief_log_odds(library, token, route)
+    score = _log_prior(library) + relief
     for i, material in enumerate(library):
         score[i] += TEMPER * sum(looks[i].values())
         score[i] += math.log(WORD_ODDS) * sum(weight for weight, _ in hits[material.name].values())
@@ -87,13 +98,22 @@ def rank(library: Sequence[LibraryMaterial], appearance: Appearance, names: Sequ
     probability = (1.0 - UNIFORM_FLOOR) * probability / probability.sum() + UNIFORM_FLOOR / len(library)
     same = np.array([[a.category == b.category for b in library] for a in library])
     aptness = (1.0 - ALIKE) * probability + ALIKE * (same @ probability)
-    usual = {field: float(np.median([look.get(field, 0.0) for look in looks])) for look in looks for field in look}
+    judged = dict.fromkeys(field for look in looks for field in look)
+    usual = {field: float(np.median([look.get(field, 0.0) for look in looks])) for field in judged}
+    reasons = [
+        _reason(hits[material.name], look, usual, appearance, relief_verdict(material, float(odds)))
+        for material, look, odds in zip(library, looks, relief, strict=True)
+    ]
     # Within a category aptness differs by the material's own probability alone, so the order is the posterior's.
     order = np.argsort(-aptness, kind="stable")
-    return tuple(
-        Suggestion(library[i].name, float(aptness[i]), _reason(hits[library[i].name], looks[i], usual, appearance))
-        for i in order
-    )
+    return tuple(Suggestion(library[i].name, float(aptness[i]), reasons[i], float(probability[i])) for i in order)
+
+
+def relief_verdict(material: LibraryMaterial, log_odds: float) -> str:
+    """What the relief says of a material, in words; "" where it says little."""
+    if log_odds > TELLING:
+        return f"its relief is like {material.name}'s"
+    return "its relief does not fit" if log_odds < -TELLING else ""
 
 
 def _log_prior(library: Sequence[LibraryMaterial]) -> NDArray[np.float64]:
@@ -110,69 +130,6 @@ def _log_prior(library: Sequence[LibraryMaterial]) -> NDArray[np.float64]:
             for material, weight in zip(library, weights, strict=True)
         ]
     )
-
-
-def _vocabulary(library: Sequence[LibraryMaterial]) -> dict[str, dict[str, float]]:
-    """word (phrases joined by spaces, and run together) → {material name: weight}."""
-    owned = {form for material in library for word in material.words for form in _forms(word)}
-    stuffs = {form for words in CATEGORY_WORDS.values() for word in words.split() for form in _forms(word)}
-    vocabulary: dict[str, dict[str, float]] = {}
-    for material in library:
-        weighted: dict[str, float] = {}
-
-        def add(words: Iterable[str], weight: float, into: dict[str, float] = weighted) -> None:
-            for form in (form for word in words for form in _forms(word)):
-                into[form] = max(into.get(form, 0.0), weight)
-
-        related = CATEGORY_WORDS.get(material.category, "").split()
-        add((word for word in related if word not in owned), 1.0)
-        add(related, RELATED_WEIGHT)
-        add((thing for thing, made_of in OBJECT_WORDS.items() if material.category in made_of), OBJECT_WORD_WEIGHT)
-        add(material.name.split("-"), NAME_PART_WEIGHT)
-        add(material.words, OBJECT_WORD_WEIGHT)
-        add((word for word in material.words if _forms(word) & stuffs), 1.0)
-        add((material.category, material.name), 1.0)
-        for form, weight in weighted.items():
-            vocabulary.setdefault(form, {})[material.name] = weight
-    return vocabulary
-
-
-def _forms(word: str) -> set[str]:
-    parts = split_words(word)
-    return {" ".join(parts), "".join(parts)} - STOP_WORDS - {""}
-
-
-def _word_hits(library: Sequence[LibraryMaterial], names: Sequence[str]) -> dict[str, dict[str, tuple[float, str]]]:
-    """material name → {matched word: (weight, the name it stood in)}; a word told twice counts once."""
-    vocabulary = _vocabulary(library)
-    category = {material.name: material.category for material in library}
-    count = len(set(category.values()))
-    hits: dict[str, dict[str, tuple[float, str]]] = {material.name: {} for material in library}
-    for place, name in enumerate(names):
-        telling = NAME_WEIGHTS[min(place, len(NAME_WEIGHTS) - 1)]
-        for word in _matches(name, vocabulary):
-            spread = len({category[material] for material in vocabulary[word]})
-            special = 1.0 if count < 2 else 1.0 - math.log(spread) / math.log(count)
-            for material, weight in vocabulary[word].items():
-                total = telling * special * weight
-                if total > hits[material].get(word, (0.0, ""))[0]:
-                    hits[material][word] = (total, name)
-    return hits
-
-
-def _matches(name: str, vocabulary: Mapping[str, object]) -> list[str]:
-    """Whole words and phrases of up to three words of the vocabulary that stand in the name."""
-    words = [word for word in split_words(name) if word not in STOP_WORDS]
-    found: list[str] = []
-    for length in (1, 2, 3):
-        for start in range(len(words) - length + 1):
-            head = " ".join(words[start : start + length - 1])
-            for last in singulars(words[start + length - 1]):
-                phrase = f"{head} {last}".strip()
-                if phrase in vocabulary:
-                    found.append(phrase)
-                    break
-    return found
 
 
 def _chosen(appearance: Appearance) -> Appearance:
@@ -227,8 +184,10 @@ def _reason(
     looks: Mapping[str, float],
     usual: Mapping[str, float],
     appearance: Appearance,
+    relief: str,
 ) -> str:
-    """The words found, then the values that fit better than they fit half of the library, and those that clash."""
+    """The words found, then the values that fit better than they fit half of the library, and those that clash; then
+    the relief."""
     parts = [f"'{word}' in '{name}'" for word, (_, name) in sorted(hits.items(), key=lambda item: -item[1][0])]
     del parts[REASON_WORDS:]
     for verdict, chosen in (
@@ -236,7 +195,8 @@ def _reason(
         ("does not fit", [field for field, odds in looks.items() if odds < -0.7]),
     ):
         parts += [f"{_value_text(field, appearance)} {verdict}" for field in chosen]
-    return "; ".join(parts) or "nothing in the scene tells"
+    parts += [relief] if relief else []
+    return "; ".join(parts) or NOTHING_TELLS
 
 
 def _value_text(field: str, appearance: Appearance) -> str:

@@ -20,25 +20,50 @@ STOP_WORDS = frozenset(
 
 CATEGORY_WORDS = MappingProxyType(
     {
-        "wood": "wood wooden timber lumber plywood veneer hardwood softwood parquet plank log bark holz bois madera "
-        "legno oak pine walnut maple birch beech cherry mahogany teak ash cedar bamboo ebony mdf spruce fir cork",
+        "wood": "wood wooden timber lumber plywood veneer hardwood softwood parquet plank log bark oak pine walnut "
+        "maple birch beech cherry mahogany teak ash cedar bamboo ebony mdf spruce fir cork laminate oakwood rosewood "
+        "sycamore poplar larch chestnut hickory redwood driftwood chipboard osb "
+        "holz eiche eichen buche buchen kiefer kiefern fichte fichten nussbaum ahorn birke esche kirschbaum parkett "
+        "diele dielen sperrholz rinde borke kork spanplatte laminat "
+        "bois chene hetre noyer erable liege ecorce contreplaque madera roble nogal haya corcho legno quercia rovere "
+        "noce faggio sughero hout houten eiken beuken grenen kurk madeira carvalho",
         "metal": "metal metallic steel iron aluminium aluminum brass copper bronze gold silver chrome titanium zinc "
-        "tin nickel rust rusty stainless metall stahl eisen acier fer laiton cuivre acero hierro metallo",
+        "tin nickel rust rusty stainless pewter platinum tungsten alloy galvanized galvanised wrought chainmail "
+        "metall stahl edelstahl eisen gusseisen kupfer messing blech chrom silber zinn zink blei rost rostig "
+        "acier fer fonte laiton cuivre inox etain plomb argent rouille tole acero hierro cobre laton plata plomo "
+        "oxidado metallo ferro acciaio ottone rame alluminio argento piombo staal ijzer koper zilver lood aco",
         "stone": "stone rock granite marble slate sandstone limestone concrete cement brick asphalt gravel pebble "
-        "stein beton pierre granit marbre piedra pietra plaster stucco gneiss travertine onyx shale",
+        "plaster stucco gneiss travertine onyx shale cobblestone cobble paving paver flagstone basalt terrazzo "
+        "quartz quartzite obsidian boulder masonry mortar adobe tarmac rocky stony brickwork stonework plastered "
+        "stein steine beton ziegel backstein klinker putz kies kiesel marmor schiefer sandstein kalkstein fels "
+        "pflaster mauerwerk pierre granit marbre brique gres ardoise calcaire platre gravier "
+        "piedra ladrillo hormigon pizarra arenisca yeso grava marmol granito pietra marmo mattone mattoni "
+        "calcestruzzo ardesia arenaria gesso cemento steen baksteen marmer graniet leisteen pedra tijolo",
         "fabric": "fabric cloth textile velvet cotton wool linen denim silk satin canvas tweed corduroy felt "
-        "polyester nylon jeans upholstery knit woven towel stoff samt tissu velours tela tessuto fleece jersey velour "
-        "plush burlap twill flannel yarn",
-        "paper": "paper cardboard carton parchment papier papel carta book page newspaper wallpaper",
+        "polyester nylon jeans upholstery knit woven towel fleece jersey velour plush burlap twill flannel yarn "
+        "damask jacquard brocade chenille hessian jute muslin cashmere mohair terry terrycloth teddy sherpa pique "
+        "tartan spandex lycra crochet tapestry "
+        "stoff samt baumwolle leinen wolle seide filz gewebe tuch polster tissu velours coton laine soie feutre toile "
+        "tela lana algodon seda fieltro lona terciopelo mezclilla tessuto cotone lino seta feltro velluto stof "
+        "katoen linnen zijde vilt fluweel tecido",
+        "paper": "paper cardboard carton parchment papier papel carta book page newspaper wallpaper paperboard "
+        "pappe wellpappe pappkarton tapete kartonnage cartone karton",
         "plastic": "plastic plastics acrylic abs pvc polycarbonate bakelite vinyl polypropylene polyethylene plastik "
-        "kunststoff plastique plastico plastica pla petg polymer composite cfrp kevlar fibreglass fiberglass",
-        "foam": "foam sponge styrofoam polystyrene polyurethane schaum schaumstoff mousse espuma schiuma",
-        "carpet": "carpet rug doormat teppich moquette alfombra tappeto",
-        "tile": "tile ceramic porcelain terracotta clay earthenware pottery faience fliese kachel keramik carrelage "
-        "azulejo ceramica piastrella",
-        "leather": "leather suede nubuck leatherette hide cowhide chamois leder cuir cuero pelle",
-        "rubber": "rubber latex silicone neoprene gummi caoutchouc goma gomma ebonite",
-        "glass": "glass glas crystal verre vidrio vetro plexiglass",
+        "kunststoff plastique plastico plastica pla petg polymer composite cfrp kevlar fibreglass fiberglass resin "
+        "pmma perspex plexi melamine formica celluloid thermoplastic epoxy kunststof",
+        "foam": "foam sponge styrofoam polystyrene polyurethane schaum schaumstoff mousse espuma schiuma styropor "
+        "schwamm polistirolo schuim piepschuim",
+        "carpet": "carpet rug doormat teppich moquette alfombra tappeto carpeting tapis moqueta tapijt vloerkleed "
+        "fussmatte astroturf",
+        "tile": "tile ceramic porcelain terracotta clay earthenware pottery faience fliese fliesen kachel kacheln "
+        "keramik carrelage azulejo ceramica piastrella stoneware mosaic majolica porzellan steinzeug steingut "
+        "dachziegel carreau ceramique porcelaine baldosa porcelana loza piastrelle porcellana cotto tegel tegels "
+        "keramiek porselein",
+        "leather": "leather suede nubuck leatherette hide cowhide chamois leder cuir cuero pelle nappa wildleder "
+        "kunstleder daim gamuza cuoio camoscio couro piel",
+        "rubber": "rubber latex silicone neoprene gummi caoutchouc goma gomma ebonite kautschuk silikon caucho "
+        "elastomer vulcanized borracha",
+        "glass": "glass glas crystal verre vidrio vetro plexiglass vitre cristal vidro glazing windowpane",
     }
 )
 """Materials of each category by name, in several languages."""
@@ -82,6 +107,48 @@ OBJECT_WORDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 """Things, and what they are mostly made of: a weaker hint."""
 
+COMPOUND_PARTS = frozenset(
+    {
+        *("floor", "wall", "roof", "door", "table", "chair", "board", "panel", "plate", "plank", "beam", "fence"),
+        *("deck", "bench", "handle", "grip", "knob", "frame", "rail", "pipe", "tube", "wire", "sheet", "trim", "shelf"),
+        *("cabinet", "counter", "work", "ware", "side", "tread", "block", "slab"),
+        *("boden", "wand", "mauer", "dach", "tisch", "stuhl", "brett", "platte", "bezug", "matte", "scheibe", "rohr"),
+        *("reifen", "kiste", "regal", "schrank", "balken", "zaun", "treppe", "decke", "griff", "knopf", "fassade"),
+        *("optik", "struktur", "textur", "muster", "farbe", "stange", "draht", "kette", "korb", "tasche", "jacke"),
+        *("schuh", "verkleidung", "oberfläche", "leiste", "rahmen", "kachel", "ziegel"),
+    }
+)
+"""What stands before or behind a material in a word that is two: woodfloor, Glasscheibe."""
+
+CHANNEL_WORDS = frozenset(
+    {
+        *(
+            "diff",
+            "diffuse",
+            "dif",
+            "albedo",
+            "alb",
+            "base",
+            "basecolor",
+            "basecolour",
+            "color",
+            "colour",
+            "col",
+            "coll",
+        ),
+        *("nor", "nrm", "norm", "normal", "normals", "normalgl", "normaldx", "gl", "dx", "opengl", "directx"),
+        *("rough", "roughness", "rgh", "gloss", "glossiness", "smoothness", "spec", "specular", "spc", "refl"),
+        *("metallic", "metalness", "metallicness", "metalroughness", "metallicroughness", "roughmetal", "metalrough"),
+        *("ao", "ambient", "occlusion", "disp", "displacement", "height", "bump", "bmp", "cavity", "curvature"),
+        *("orm", "arm", "rma", "mra", "mask", "opacity", "alpha", "transmission", "emissive", "emission"),
+        *("sheen", "anisotropy", "clearcoat", "thickness", "map", "jpg", "jpeg", "png", "k"),
+    }
+)
+"""What a picture of a texture shows, said at the end of its name: no word of the material."""
+MASKED_METAL = frozenset({"rough", "roughness", "occlusion", "ao"})
+"""Before "metal" these say that it is a channel: OcclusionRoughMetal."""
+PICTURE_SUFFIX = re.compile(r"\.(jpe?g|png|tga|exr|tiff?|webp|bmp|dds|ktx2?|hdr|psd|basis)$", re.IGNORECASE)
+
 
 def split_words(name: str) -> list[str]:
     """Lower-case words of a name: "GlassPlasticMat.001" → glass, plastic, mat. CamelCase, separators and digits
@@ -89,6 +156,24 @@ def split_words(name: str) -> list[str]:
     plain = unicodedata.normalize("NFC", name)
     parts = [word for run in _WORD.findall(plain) for word in _CAMEL.split(run)]
     return [_plain(word) for word in parts if word]
+
+
+def is_picture_name(name: str) -> bool:
+    """Does it end like the name of a picture's file?"""
+    return PICTURE_SUFFIX.search(name.strip()) is not None
+
+
+def picture_words(name: str) -> list[str]:
+    """split_words of a texture's name without its file type and what channel it shows: "T_Oak_Planks_BaseColor.png" →
+    t, oak, planks; "SavonaTile_Metalness" → savona, tile."""
+    words = split_words(PICTURE_SUFFIX.sub("", name.strip()))
+    while words and (
+        len(words[-1]) == 1
+        or words[-1] in CHANNEL_WORDS
+        or (words[-1] == "metal" and len(words) > 1 and words[-2] in MASKED_METAL)
+    ):
+        words.pop()
+    return words
 
 
 def singulars(word: str) -> tuple[str, ...]:

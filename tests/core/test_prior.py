@@ -4,15 +4,18 @@ import dataclasses
 
 import numpy as np
 import pytest
+from asset_names import HELD_BACK, TUNED
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.errors import MaterialError
+from hnf_core.material.library import load_library
 from hnf_core.material.material import Appearance, LibraryMaterial
 from hnf_core.material.mechanics import UNKNOWN
-from hnf_core.material.prior import rank
+from hnf_core.material.naming import halves, vocabulary
+from hnf_core.material.prior import NOTHING_TELLS, rank
 from hnf_core.material.token import TOKEN_DIM
-from hnf_core.material.words import singulars, split_words
+from hnf_core.material.words import CATEGORY_WORDS, is_picture_name, picture_words, singulars, split_words
 
 
 def entry(name, category, words, color, roughness, metallic=0.0, sheen=0.0, transmission=0.0):
@@ -41,6 +44,7 @@ LIBRARY = (
 )
 CATEGORY = {material.name: material.category for material in LIBRARY}
 BLANK = Appearance()
+REAL = load_library()
 DULL = Appearance((0.2, 0.15, 0.1), 0.6, 0.0, 0.0, 0.0)
 
 
@@ -210,3 +214,85 @@ def test_names_split_into_words(name, words):
 def test_plurals_lead_to_their_singular(plural, one):
     assert one in singulars(plural)
     assert singulars("glass") == ("glass",)
+
+
+def hit_rate(names: dict[str, str]) -> float:
+    """Share of names whose best-ranked category, told by the name alone, is the right one."""
+    hits = 0
+    for name, expected in names.items():
+        as_picture = is_picture_name(name)
+        ranked = rank(REAL, BLANK, [""] if as_picture else [name], pictures=[name] * as_picture)
+        told = ranked[0].reason != NOTHING_TELLS
+        hits += told and next(each.category for each in REAL if each.name == ranked[0].name) == expected
+    return hits / len(names)
+
+
+def test_names_as_they_are_met_name_their_category():
+    assert min(len(TUNED), len(HELD_BACK)) > 50
+    assert hit_rate(TUNED) > 0.9
+    assert hit_rate(HELD_BACK) > 0.85
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("T_Oak_Planks_BaseColor.png", ["t", "oak", "planks"]),
+        ("SavonaTile_Metalness.jpg", ["savona", "tile"]),
+        ("FlightHelmet_Materials_LeatherPartsMat_OcclusionRoughMetal.png",
+         ["flight", "helmet", "materials", "leather", "parts", "mat"]),
+        ("scratched_metal_01_diff_4k.exr", ["scratched", "metal"]),
+        ("Bricks075A_1K-JPG_Color", ["bricks"]),
+        ("T_Ceramic_Tile_M.TGA", ["t", "ceramic", "tile"]),
+        ("metal.png", ["metal"]),
+        ("roughness.png", []),
+    ],
+)  # fmt: skip
+def test_a_picture_s_channel_is_no_word_of_its_name(name, words):
+    assert picture_words(name) == words
+
+
+def test_a_channel_called_metalness_makes_nothing_of_metal():
+    ranked = rank(LIBRARY, BLANK, [""], pictures=["SavonaTile_Metalness.jpg"])
+    assert CATEGORY[ranked[0].name] == "tile"
+    assert rank(LIBRARY, BLANK, [""], pictures=["x_metallic.png"]) == rank(LIBRARY, BLANK, [""])
+
+
+def test_a_picture_says_more_than_the_object_and_less_than_the_material():
+    def first(names, picture):
+        return CATEGORY[rank(LIBRARY, BLANK, names, pictures=[picture])[0].name]
+
+    assert first(["leather", ""], "oak_diff.png") == "leather"
+    assert first(["", "leather"], "oak_diff.png") == "wood"
+
+
+@pytest.mark.parametrize(
+    ("word", "parts"),
+    [
+        ("glasscheibe", ["glas"]), ("eichenholz", ["eichen", "holz"]), ("woodfloor", ["wood", "floor"]),
+        ("gummireifen", ["gummi"]), ("lederbezug", ["leder"]), ("brickwork", ["brick"]),
+        ("chairman", []), ("woodward", []), ("oaktree", []), ("firewall", []), ("abstract", []), ("dialog", []),
+        ("tableware", []), ("software", []),
+    ],
+)  # fmt: skip
+def test_compounds_are_taken_apart_only_where_both_halves_are_words(word, parts):
+    assert set(halves(word, vocabulary(REAL))) == set(parts)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.text(max_size=30))
+def test_no_name_breaks_the_words(name):
+    found = picture_words(name)
+    assert all(found)
+    assert is_picture_name(f"{name}.PNG")
+    for word in found:
+        assert isinstance(halves(word, vocabulary(LIBRARY)), list)
+
+
+def test_no_language_names_two_categories_with_one_word():
+    """A word of two categories says half as much; those meant to are listed here."""
+    owners: dict[str, set[str]] = {}
+    for category, words in CATEGORY_WORDS.items():
+        assert len(words.split()) == len(set(words.split())), category
+        for word in words.split():
+            owners.setdefault(word, set()).add(category)
+    assert {word for word, categories in owners.items() if len(categories) > 1} == set()

@@ -1,0 +1,197 @@
+"""How often the ranking of library materials is right: on generated pieces of every class, and on names as met.
+
+Usage: python tools/measure_suggestions.py [--calibrate] [--json]
+
+Pieces (simulation.classes.instance, simulation.look.piece) of seeds that nothing was fitted to. Evidence: the name of a
+picture (a word of the class, a word of its category, or nothing, a third each), the look (base colour, roughness,
+metallic as the piece has them, sheen and transmission as the library has them), the token of its relief, whose height
+an artist gave another scale (a factor, log-normal, 2), and all of them. --calibrate prints the scatter of tokens within
+a class and the weights of the relief that fit best, from other seeds: what relief.py has as constants.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "core")]
+
+from asset_names import HELD_BACK, TUNED  # noqa: E402
+
+from hnf_core.files import write_atomically  # noqa: E402
+from hnf_core.material import relief  # noqa: E402
+from hnf_core.material.encoder import describe  # noqa: E402
+from hnf_core.material.library import find, load_library  # noqa: E402
+from hnf_core.material.material import Appearance  # noqa: E402
+from hnf_core.material.prior import Suggestion, rank  # noqa: E402
+from hnf_core.material.token import LEVELS, Token, band_slice  # noqa: E402
+from hnf_core.material.words import CATEGORY_WORDS, is_picture_name  # noqa: E402
+from hnf_core.simulation.classes import category_of, classes, instance, seed_of  # noqa: E402
+from hnf_core.simulation.look.piece import piece_of  # noqa: E402
+from hnf_core.simulation.surface import TILE_PIXELS, TILE_SIZE_M, height_map  # noqa: E402
+from hnf_core.tactile.height import tactile_map_from_height  # noqa: E402
+
+CALIBRATION, MEASUREMENT = range(1, 5), range(101, 105)
+KEPT = ROOT / "build" / "suggestions"
+ARTISTS_SCALE = 0.3
+"""Decades, standard deviation: nobody knows how high their bump really is."""
+COARSE_BANDS = 4
+"""8 to 1 mm: what a picture of a few pixels a millimetre resolves."""
+TEMPERS = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0)
+DOUBTS = (0.05, 0.1, 0.2, 0.3, 0.5)
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One generated piece: its class, what its looks and names say, its token."""
+
+    name: str
+    look: Appearance
+    picture: str
+    token: Token
+
+
+def token_of(name: str, seed: int) -> np.ndarray:
+    """(TOKEN_DIM,) of a piece's own tile."""
+    recipe, _ = instance(name, seed)
+    pitch = TILE_SIZE_M / TILE_PIXELS
+    return describe(tactile_map_from_height(height_map(recipe, seed), None, pitch, 2.0 * pitch)).values
+
+
+def pieces(seeds: Sequence[int]) -> list[Piece]:
+    """Every class, every seed; tokens are kept in build/, since a tile takes a third of a second."""
+    path = KEPT / f"tokens-{seeds[0]}-{seeds[-1]}.npy"
+    if not path.is_file():
+        made = np.stack([[token_of(name, seed) for seed in seeds] for name in classes()])
+        write_atomically(path, lambda temporary: np.save(temporary.open("wb"), made))
+    tokens = np.load(path)
+    found = []
+    for row, name in enumerate(classes()):
+        for column, seed in enumerate(seeds):
+            rng = np.random.default_rng([seed_of(name), seed, 7])
+            values = tokens[row, column].copy()
+            values[LEVELS] += np.float32(ARTISTS_SCALE * rng.standard_normal())
+            token = Token(values, np.ones(len(values), dtype=bool))
+            found.append(Piece(name, _look(name, rng), _picture(name, rng), token))
+    return found
+
+
+def _look(name: str, rng: np.random.Generator) -> Appearance:
+    typical = find(name).appearance
+    made = piece_of(typical, category_of(name), rng)
+    return replace(typical, base_color=made.base_color, roughness=made.roughness, metallic=made.metallic)
+
+
+def _picture(name: str, rng: np.random.Generator) -> str:
+    kind, number = rng.integers(3), rng.integers(1, 99)
+    own, related = find(name).words, CATEGORY_WORDS[category_of(name)].split()
+    word = ("", own[rng.integers(len(own))], related[rng.integers(len(related))])[kind]
+    return f"T_{word.title()}_{number:02d}_BaseColor.png"
+
+
+def coarse(token: Token) -> Token:
+    """Only what COARSE_BANDS resolve."""
+    known = np.zeros_like(token.known)
+    for band in range(COARSE_BANDS):
+        known[band_slice(band)] = True
+    return Token(token.values, known)
+
+
+EVIDENCE = ("words", "look", "relief", "relief, 8–1 mm", "words and look", "all", "all, relief 8–1 mm")
+
+
+def ranking(piece: Piece, evidence: str) -> tuple[Suggestion, ...]:
+    everything = evidence.startswith("all")
+    seen = coarse(piece.token) if evidence.endswith("mm") else piece.token
+    return rank(
+        load_library(),
+        piece.look if everything or "look" in evidence else Appearance(),
+        [""],
+        pictures=[piece.picture] if everything or "words" in evidence else [],
+        token=seen if everything or "relief" in evidence else None,
+    )
+
+
+def hits(found: Sequence[Piece], evidence: str) -> dict[str, float]:
+    """Shares of pieces whose class and category come first, and among the first three."""
+    category = {material.name: material.category for material in load_library()}
+    rows = []
+    for piece in found:
+        order = [suggestion.name for suggestion in ranking(piece, evidence)]
+        groups = list(dict.fromkeys(category[name] for name in order))
+        own = category[piece.name]
+        rows.append([order[0] == piece.name, piece.name in order[:3], groups[0] == own, own in groups[:3]])
+    names = ("class@1", "class@3", "category@1", "category@3")
+    return dict(zip(names, (float(share) for share in np.mean(rows, axis=0)), strict=True))
+
+
+def name_hits(names: dict[str, str]) -> dict[str, float]:
+    """The same of categories, for names alone."""
+    category = {material.name: material.category for material in load_library()}
+    first, among = 0, 0
+    for name, expected in names.items():
+        as_picture = is_picture_name(name)
+        ranked = rank(load_library(), Appearance(), [""] if as_picture else [name], pictures=[name] * as_picture)
+        told = ranked[0].confidence - ranked[-1].confidence > 0.05
+        groups = list(dict.fromkeys(category[each.name] for each in ranked)) if told else []
+        first += groups[:1] == [expected]
+        among += expected in groups[:3]
+    return {"names": len(names), "category@1": first / len(names), "category@3": among / len(names)}
+
+
+def calibrate() -> dict[str, object]:
+    """Scatter of the invariants within a class about the library's own token, and the temper and doubt under which
+    the right class has the highest mean log probability, from all evidence together."""
+    found = pieces(CALIBRATION)
+    tokens = np.load(KEPT / f"tokens-{CALIBRATION[0]}-{CALIBRATION[-1]}.npy")
+    typical = np.stack([find(name).token for name in classes()])
+    gap = relief.invariants(tokens.reshape(-1, tokens.shape[-1])) - np.repeat(
+        relief.invariants(typical), len(CALIBRATION), axis=0
+    )
+    kinds = [*np.repeat(relief.KINDS, relief.BANDS), *relief.SHAPE_FEATURES]
+    within = {kind: float(np.sqrt(np.mean(gap[:, [k == kind for k in kinds]] ** 2))) for kind in dict.fromkeys(kinds)}
+    relief.WITHIN.update(within)
+    scores = {}
+    for relief.TEMPER in TEMPERS:
+        for relief.DOUBT in DOUBTS:
+            told = [
+                np.log(next(each.probability for each in ranking(piece, evidence) if each.name == piece.name))
+                for piece in found
+                for evidence in ("relief", "all", "all, relief 8–1 mm")
+            ]
+            scores[f"temper {relief.TEMPER} doubt {relief.DOUBT}"] = float(np.mean(told))
+    best = sorted(scores.items(), key=lambda item: -item[1])[:6]
+    return {"within": within, "log probability of the right class, best": dict(best)}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--calibrate", action="store_true")
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    if arguments.calibrate:
+        print(json.dumps(calibrate(), indent=1))
+        return 0
+    found = pieces(MEASUREMENT)
+    rows = {evidence: hits(found, evidence) for evidence in EVIDENCE}
+    names = {"names, tuned half": name_hits(TUNED), "names, held back": name_hits(HELD_BACK)}
+    if arguments.json:
+        print(json.dumps({"pieces": len(found), **rows, **names}, indent=1))
+        return 0
+    print(f"{len(found)} pieces of {len(classes())} classes; chance: 1/43 of classes, 1/12 of categories")
+    for label, shares in rows.items():
+        print(f"{label:<20}" + "  ".join(f"{name} {share:6.1%}" for name, share in shares.items()))
+    for label, shares in names.items():
+        print(f"{label:<20}" + "  ".join(f"{name} {share:6.3g}" for name, share in shares.items()))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
