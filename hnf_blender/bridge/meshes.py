@@ -155,8 +155,8 @@ def mesh_hash(obj: Any, depsgraph: Any, metres_per_unit: float) -> str:
         digest.update(_read(mesh.corner_normals, "vector", np.float32, 3).data)
         uv = _uv(mesh)
         digest.update(b"" if uv is None else uv.data)
-    # The polar decomposition of a turned object differs in the last bits; a micrometre a metre does not.
-    digest.update(np.round(stretch / metres_per_unit, 6).tobytes() + repr(float(metres_per_unit)).encode())
+    # The polar decomposition of a turned object differs in the last bits; a micrometre a metre does not, nor −0 from 0.
+    digest.update((np.round(stretch / metres_per_unit, 6) + 0.0).tobytes() + repr(float(metres_per_unit)).encode())
     return digest.hexdigest()
 
 

@@ -97,8 +97,9 @@ def _baked(obj: Any, token: int) -> MaterialFile | None:
 def _likely(obj: Any, shader: Any) -> LibraryMaterial:
     from hnf_core.material.material import Appearance
 
+    from .picture_names import picture_names
     from .shader_values import stated_appearance
 
     looks = Appearance() if shader is None else stated_appearance(shader)
-    names = [*([] if shader is None else [shader.name]), obj.name, obj.data.name]
-    return find(rank(load_library(), looks, names)[0].name)
+    names = ["" if shader is None else shader.name, obj.name, obj.data.name]
+    return find(rank(load_library(), looks, names, pictures=picture_names(shader))[0].name)

@@ -10,6 +10,8 @@ from hnf_core.errors import HnfError
 from ..state.session import LastJob
 
 if TYPE_CHECKING:
+    from hnf_core.cli.probe import ProbePlace
+
     from .running import Bake
 
 _running: Bake | None = None
@@ -19,14 +21,14 @@ def is_running() -> bool:
     return _running is not None
 
 
-def start(scene: Any, view_layer: Any, only: Sequence[str] = ()) -> Bake:
-    """Raises HnfError where a bake runs already, or this one cannot be begun."""
+def start(scene: Any, view_layer: Any, only: Sequence[str] = (), place: ProbePlace | None = None) -> Bake:
+    """A bake, or a look at one place. Raises HnfError where a bake runs already, or this one cannot be begun."""
     global _running
     from .running import Bake
 
     if _running is not None:
         raise HnfError("a bake is running already.", remedy="Wait for it, or cancel it.")
-    _running = Bake(scene, view_layer, only)
+    _running = Bake(scene, view_layer, only, place)
     return _running
 
 

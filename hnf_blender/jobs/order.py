@@ -24,7 +24,8 @@ ORDER_NAME, RESULT_NAME, SCENE_NAME = "order.json", "result.json", "scene.blend"
 class Order:
     """scene, view_layer: by name. only: names of the strokes to bake, empty = all that are not muted. cache: folder of
     the patches' records. package, package_folder, sys_path: how the child finds this very code. use_scripts: may
-    scripts in the file run, as the person has set it."""
+    scripts in the file run, as the person has set it. probe_object, probe_at: instead of a bake, look at this place of
+    this object (cli.probe.ProbePlace); "" = a bake."""
 
     scene: str
     view_layer: str
@@ -34,6 +35,8 @@ class Order:
     package_folder: str
     sys_path: tuple[str, ...]
     use_scripts: bool
+    probe_object: str = ""
+    probe_at: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,8 @@ class Refusal:
 
 @dataclass(frozen=True)
 class Result:
-    """All that a job made. fresh: how many strokes needed nothing. renders: close-ups made."""
+    """All that a job made. fresh: how many strokes needed nothing. renders: close-ups made. probed: a place was looked
+    at instead, and the answer lies in the folder (jobs.probe)."""
 
     strokes: tuple[BakedFile, ...]
     meshes: tuple[TokenFile, ...]
@@ -74,6 +78,7 @@ class Result:
     warnings: tuple[str, ...]
     fresh: int
     renders: int
+    probed: bool = False
 
 
 def write_order(folder: Path, order: Order) -> None:

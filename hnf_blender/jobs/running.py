@@ -11,10 +11,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from hnf_core.cli.probe import ProbePlace
 from hnf_core.errors import FileError, HnfError
 
 from ..bridge.quiet import quiet
 from ..state.folders import cache_folder
+from ..state.probe import ProbeView
 from ..state.session import STATE, JobStatus, LastJob
 from ..translations import tr
 from .child import Child
@@ -22,6 +24,7 @@ from .commit import Committed, Place, commit_steps, place_of
 from .folder import new_folder, remove_folder
 from .messages import Began, Broken, Finished, Message, Step
 from .order import SCENE_NAME, Order, Result, read_result, write_order
+from .probe import take_probe
 from .work import wanted_curves, work_steps
 
 PACKAGE = __name__.rpartition(".jobs.")[0]
@@ -42,12 +45,12 @@ class Prepared:
 
 
 class Bake:
-    """A bake in a child process. Call tick() every 0.1 s until it says how it ended."""
+    """A bake in a child process, or a look at one place (place). Call tick() every 0.1 s until it says how it ended."""
 
-    def __init__(self, scene: Any, view_layer: Any, only: Sequence[str] = ()) -> None:
+    def __init__(self, scene: Any, view_layer: Any, only: Sequence[str] = (), place: ProbePlace | None = None) -> None:
         """Saves a copy of what is open and starts. Raises HnfError; nothing is left behind then."""
         self.started = time.monotonic()
-        self._prepared = prepare(scene, view_layer, only)
+        self._prepared = prepare(scene, view_layer, only, place)
         self._child: Child | None = None
         self._committing: Generator[None, None, Committed] | None = None
         self._result: Result | None = None
@@ -88,6 +91,8 @@ class Bake:
 
     def cancel(self) -> LastJob:
         """Stop now; nothing is left behind, nothing is changed."""
+        if self._prepared.order.probe_object:
+            return self._end(LastJob(True, tr("Nothing was examined.")))
         return self._end(LastJob(True, tr("Bake cancelled. Nothing was changed; finished close-ups are kept.")))
 
     def _end(self, ended: LastJob) -> LastJob:
@@ -123,6 +128,8 @@ class Bake:
             return LastJob(False, message.why, () if self._child is None else self._child.last_lines)
         if isinstance(message, Finished):
             self._result = read_result(self.folder)
+            if self._result.probed:
+                return looked(take_probe(self.folder))
             self._committing = commit_steps(self._result, self.folder, self._prepared.place)
             self._show(Step("comparing with the scene", 0, 1))
         if isinstance(message, Began):
@@ -164,12 +171,25 @@ def bake_in_line(scene: Any, view_layer: Any, only: Sequence[str] = ()) -> LastJ
         remove_folder(prepared.folder)
 
 
-def prepare(scene: Any, view_layer: Any, only: Sequence[str] = ()) -> Prepared:
-    """Raises SceneError where there is nothing to bake, FileError where no folder can be made."""
+def probe_in_line(scene: Any, view_layer: Any, place: ProbePlace) -> LastJob:
+    """Look at a place in this very process. Raises HnfError."""
+    prepared = prepare(scene, view_layer, place=place)
+    try:
+        _exhaust(work_steps(prepared.order, prepared.folder))
+        STATE.last_job = replace(looked(take_probe(prepared.folder)), scene=scene.name)
+        return STATE.last_job
+    finally:
+        remove_folder(prepared.folder)
+
+
+def prepare(scene: Any, view_layer: Any, only: Sequence[str] = (), place: ProbePlace | None = None) -> Prepared:
+    """place: to look at; None = a bake. Raises SceneError where there is nothing to bake, FileError where no folder can
+    be made."""
     import bpy
 
-    wanted_curves(scene, only)
-    place = place_of(scene, view_layer)
+    if place is None:
+        wanted_curves(scene, only)
+    belongs = place_of(scene, view_layer)
     order = Order(
         scene=scene.name,
         view_layer=view_layer.name,
@@ -179,6 +199,8 @@ def prepare(scene: Any, view_layer: Any, only: Sequence[str] = ()) -> Prepared:
         package_folder=str(Path(__file__).resolve().parents[1]),
         sys_path=tuple(entry for entry in sys.path if entry),
         use_scripts=bool(bpy.context.preferences.filepaths.use_scripts_auto_execute),
+        probe_object="" if place is None else place.target,
+        probe_at=() if place is None else place.at,
     )
     folder = new_folder()
     try:
@@ -186,7 +208,7 @@ def prepare(scene: Any, view_layer: Any, only: Sequence[str] = ()) -> Prepared:
     except BaseException:
         remove_folder(folder)
         raise
-    return Prepared(folder, order, place)
+    return Prepared(folder, order, belongs)
 
 
 def save_copy(path: Path) -> None:
@@ -208,6 +230,12 @@ def save_copy(path: Path) -> None:
     finally:
         files.file_preview_type = preview
         bpy.context.preferences.is_dirty = was_dirty
+
+
+def looked(view: ProbeView) -> LastJob:
+    """A sentence about a place that was looked at."""
+    said = tr("Examined '{surface}': {material}").format(surface=view.object_name, material=view.library_material)
+    return LastJob(True, f"{said}.")
 
 
 def told(result: Result, committed: Committed, seconds: float) -> LastJob:

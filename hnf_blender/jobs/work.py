@@ -6,6 +6,7 @@ from collections.abc import Generator, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from hnf_core.cli.probe import ProbePlace
 from hnf_core.cli.progress import Progress
 from hnf_core.cli.touch import TouchRequest
 from hnf_core.errors import SceneError
@@ -24,6 +25,7 @@ from ..touch.stored import judge, tokens_are_there
 from ..touch.tokens import by_mesh, face_tokens
 from .messages import Began, Step
 from .order import BakedFile, Order, Refusal, Result, TokenFile, pack_tokens
+from .probe import probe_work
 
 Steps = Generator[Began | Step, None, Result]
 
@@ -31,10 +33,15 @@ Steps = Generator[Began | Step, None, Result]
 def work_steps(order: Order, folder: Path) -> Steps:
     """Bake what order asks for, of the file that is open, into folder; nothing in the file changes.
 
-    Yields messages. Raises SceneError where the scene is gone, or holds no stroke to bake.
+    Yields messages. Raises SceneError where the scene is gone, holds no stroke to bake, or has no such place to look
+    at.
     """
     yield Step("reading the strokes", 0, 1)
     session = scene_session(*_scene(order), folder)
+    if order.probe_object:
+        place = ProbePlace(order.probe_object, order.probe_at)
+        renders = yield from probe_work(session, place, Path(order.cache), folder)
+        return Result((), (), (), (), fresh=0, renders=renders, probed=True)
     curves = wanted_curves(session.scene, order.only)
     found = gather_curves(session, curves)
     jobs = [job for job in found.jobs if not is_done(session, job)]

@@ -18,6 +18,7 @@ MODULES = (
     "preview",
     "actuator",
     "live",
+    "probe",
     "export",
 )
 """Sub-modules, each with a tuple CLASSES."""

@@ -56,7 +56,10 @@ def materials_of(obj: Any) -> list[Any]:
 class HNF_OT_suggest(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types, Blender's naming
     bl_idname = "hnf.suggest"
     bl_label = "Suggest Materials"
-    bl_description = "Rank the library by the names and shader values of this object's materials. Renders nothing"
+    bl_description = (
+        "Rank the library by the names, pictures and shader values of this object's materials, and by their relief "
+        "where a place was examined. Renders nothing and chooses nothing"
+    )
     bl_options = {"REGISTER"}  # noqa: RUF012  # Blender reads a set
 
     @classmethod
@@ -72,14 +75,23 @@ class HNF_OT_suggest(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  #
 
     def execute(self, context: Any) -> set[str]:
         from hnf_core.material.prior import rank
+        from hnf_core.tactile.tactile_map import Route
 
+        from ..bridge.picture_names import picture_names
         from ..bridge.shader_values import stated_appearance
 
         obj = felt_object(context)
         try:
             for material in materials_of(obj):
-                names = [material.name, obj.name, obj.data.name]
-                STATE.suggestions[material.name_full] = rank(load_library(), stated_appearance(material), names)
+                relief = STATE.reliefs.get(material.name_full)
+                STATE.suggestions[material.name_full] = rank(
+                    load_library(),
+                    stated_appearance(material),
+                    [material.name, obj.name, obj.data.name],
+                    pictures=picture_names(material),
+                    token=None if relief is None else relief.token,
+                    route=Route.PRIOR if relief is None else relief.route,
+                )
         except HnfError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from hnf_core.material.prior import Suggestion
 
+    from .probe import ProbeView, Relief
+
 
 class Freshness(Enum):
     """How a stroke's stored bake stands to the scene.
@@ -90,8 +92,9 @@ class PlanView:
 @dataclass
 class SessionState:
     """strokes: by stroke object name. dirty: names of datablocks changed since their strokes were looked at.
-    suggestions: by the full name of the Blender material, the most apt first. diagnosis: (name, value) as last
-    collected. heard: something was played since Blender started.
+    suggestions: by the full name of the Blender material, the most apt first. reliefs: by that name too, as seen where
+    a place of it was examined. diagnosis: (name, value) as last collected. heard: something was played since Blender
+    started. probe: the last place that was looked at.
     changes: counts what people changed, undo and redo included. own: above 0 while the add-on itself changes things."""
 
     strokes: dict[str, StrokeStatus] = field(default_factory=dict)
@@ -100,8 +103,10 @@ class SessionState:
     last_job: LastJob | None = None
     plan: PlanView | None = None
     suggestions: dict[str, tuple[Suggestion, ...]] = field(default_factory=dict)
+    reliefs: dict[str, Relief] = field(default_factory=dict)
     diagnosis: tuple[tuple[str, str], ...] = ()
     heard: bool = False
+    probe: ProbeView | None = None
     changes: int = 0
     own: int = 0
 
@@ -110,8 +115,9 @@ class SessionState:
         self.strokes.clear()
         self.dirty.clear()
         self.suggestions.clear()
+        self.reliefs.clear()
         self.diagnosis = ()
-        self.job = self.last_job = self.plan = None
+        self.job = self.last_job = self.plan = self.probe = None
 
 
 STATE = SessionState()

@@ -49,6 +49,7 @@ class Watch:
             self._pending.clear()
             return
         names = set(changed) | self._quiet_changes()
+        _forget_looks(names)
         stamp = (scene.render.fps, scene.render.fps_base, *_scale(scene))
         if not names and stamp == self._stamp:
             return
@@ -234,6 +235,15 @@ def _concerns(obj: Any, names: set[str]) -> bool:
     if obj.name in names or (obj.data is not None and obj.data.name in names):
         return True
     return any(slot.material is not None and slot.material.name in names for slot in obj.material_slots)
+
+
+def _forget_looks(names: set[str]) -> None:
+    """What was seen of a material where a place was examined holds until the material changes."""
+    for material in list(STATE.reliefs):
+        if EVERYTHING in names or material in names:
+            del STATE.reliefs[material]
+    if STATE.probe is not None and (EVERYTHING in names or STATE.probe.material in names):
+        STATE.probe = None
 
 
 def _stroke_concerns(obj: Any, names: set[str]) -> bool:

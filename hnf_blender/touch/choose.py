@@ -9,9 +9,12 @@ from hnf_core.errors import MaterialError
 from hnf_core.material.hnf_file import MaterialFile, completed
 from hnf_core.material.library import find, load_library
 from hnf_core.material.material import LibraryMaterial
+from hnf_core.material.merge import merge
 from hnf_core.material.prior import Suggestion, rank
+from hnf_core.material.token import Token
+from hnf_core.tactile.tactile_map import Route
 
-from .bake import TouchedObject, mean_appearance
+from .bake import TouchedObject, mean_appearance, token_of
 from .store import PatchRecord
 
 
@@ -68,9 +71,21 @@ def decide_material(touched: TouchedObject, slot: int, asked: Asked, records: Se
 
 
 def ranked_materials(touched: TouchedObject, slot: int, records: Sequence[PatchRecord]) -> tuple[Suggestion, ...]:
-    """The whole library for a slot, the most apt first, whatever the artist chose."""
+    """The whole library for a slot, the most apt first, whatever the artist chose: by names,
+    pictures' names among them, looks and relief."""
     names = [shader_name(touched, slot), touched.surface.object_name, touched.obj.data.name]
-    return rank(load_library(), mean_appearance(records), names)
+    token, route = relief_of(records)
+    pictures = touched.pictures[slot] if slot < len(touched.pictures) else ()
+    return rank(load_library(), mean_appearance(records), names, pictures=pictures, token=token, route=route)
+
+
+def relief_of(records: Sequence[PatchRecord]) -> tuple[Token | None, Route]:
+    """What the patches show of a slot's relief together: of those by the surest route that any of them has."""
+    for route in (Route.MEASURED, Route.PREDICTED):
+        tokens = [token for record in records if record.route is route and (token := token_of(record)) is not None]
+        if tokens:
+            return merge(tokens), route
+    return None, Route.PRIOR
 
 
 def shader_name(touched: TouchedObject, slot: int) -> str:

@@ -19,6 +19,7 @@ from ..bridge.hashes import material_hash
 from ..bridge.importers import size_warning
 from ..bridge.meshes import Surface, flush_edits, mesh_hash, slot_materials, surface_mesh
 from ..bridge.own_material import own_word
+from ..bridge.picture_names import picture_names
 from ..bridge.placement import default_slots, place_primitive
 from ..bridge.shader_colour import Shows, shows
 from ..bridge.stage import looks_at_world
@@ -57,7 +58,7 @@ class Job:
 @dataclass(frozen=True)
 class SurfaceFacts:
     """What the plan knows of an object without a triangle of it. materials: names by slot. shows: what each slot's
-    shader can tell of its relief. chosen, shape_hash, shader_hashes, place_hash: see TouchedObject."""
+    shader can tell of its relief. chosen, shape_hash, shader_hashes, place_hash, pictures: see TouchedObject."""
 
     materials: tuple[str, ...]
     chosen: tuple[str | MaterialFile, ...]
@@ -65,6 +66,7 @@ class SurfaceFacts:
     shader_hashes: tuple[str, ...]
     place_hash: str
     shows: tuple[Shows, ...]
+    pictures: tuple[tuple[str, ...], ...]
 
 
 @dataclass
@@ -118,6 +120,7 @@ class Session:
                 place_hash=facts.place_hash,
                 metres_per_unit=self.metres_per_unit,
                 chosen=facts.chosen,
+                pictures=facts.pictures,
             )
         return self._touched[obj.name]
 
@@ -138,6 +141,7 @@ class Session:
                 shader_hashes=tuple(material_hash(material) for material in slots),
                 place_hash=repr([list(row) for row in obj.matrix_world]) if worldly else "",
                 shows=tuple(shows(material) for material in slots),
+                pictures=tuple(picture_names(material) for material in slots),
             )
         return self._facts[obj.name]
 
@@ -207,7 +211,8 @@ class Session:
         facts = self.facts(obj)
         choices = repr(sorted(self.choices(object_name).items(), key=repr))
         reads = any(look is Shows.PICTURE and not chosen for look, chosen in self.outlook(obj, material))
-        names = (object_name, obj.data.name, *facts.materials)
+        pictures = (name for slot in facts.pictures for name in slot)
+        names = (object_name, obj.data.name, *facts.materials, *pictures)
         return Inputs(
             made_by=self._made_by,
             scale=repr(self.metres_per_unit),

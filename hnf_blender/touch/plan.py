@@ -57,17 +57,28 @@ class Fresh:
 
 
 @dataclass(frozen=True)
+class PlannedProbe:
+    """One place to be looked at. renders: 1, or 0 where the store knows the place."""
+
+    name: str
+    object: str
+    material: str
+    renders: int
+
+
+@dataclass(frozen=True)
 class Plan:
     needed: tuple[Needed, ...]
     fresh: tuple[Fresh, ...]
     skipped: tuple[Skipped, ...]
     failed: tuple[Failed, ...]
     notes: tuple[str, ...]
+    probes: tuple[PlannedProbe, ...] = ()
 
     @property
     def renders(self) -> int:
-        """Upper bound: one close-up a patch and one picture a stroke."""
-        return sum(entry.patches + 1 for entry in self.needed)
+        """Upper bound: one close-up a patch and one picture a stroke; one close-up a probe."""
+        return sum(entry.patches + 1 for entry in self.needed) + sum(entry.renders for entry in self.probes)
 
     @property
     def predictions(self) -> int:
@@ -76,7 +87,7 @@ class Plan:
 
     @property
     def seconds(self) -> float:
-        closeups = sum(entry.patches for entry in self.needed)
+        closeups = sum(entry.patches for entry in self.needed) + sum(entry.renders for entry in self.probes)
         each = PICTURE_SECONDS + SYNTHESIS_SECONDS
         return closeups * CLOSEUP_SECONDS + self.predictions * PREDICTION_SECONDS + len(self.needed) * each
 
@@ -101,6 +112,11 @@ class Plan:
                 lines += [_route_line(slot, entry.predictions) for slot in entry.slots]
             predictions = f" and {self.predictions} predictions" if self.predictions else ""
             lines.append(f"  at most {self.renders} renders{predictions}, about {self.seconds:.0f} s")
+        if self.probes:
+            lines.append("Probes:")
+            for probe in self.probes:
+                cost = "1 close-up" if probe.renders else "looked at before, nothing to render"
+                lines.append(f"  {probe.name}: on {probe.object}, {probe.material or 'no material'}; {cost}")
         lines += ["Fresh:", *(f"  {entry.stroke}: {entry.wav}" for entry in self.fresh)] if self.fresh else []
         lines += ["Skipped:", *_bullets(self.skipped)] if self.skipped else []
         lines += ["Cannot be done:", *(f"  {entry.why}" for entry in self.failed)] if self.failed else []

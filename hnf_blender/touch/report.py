@@ -73,6 +73,7 @@ class Report:
     """Grows during a run; written after every stroke, so that a stopped run leaves a true account.
 
     metres_per_unit: length of a scene unit, which every height and speed is scaled by; scale_source: who said so.
+    probes: an entry for each place that was looked at, as docs/probe.md says it.
     """
 
     scene: str
@@ -85,6 +86,7 @@ class Report:
     failed: list[Failed] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     baked_blend: str = ""
+    probes: list[dict[str, Any]] = field(default_factory=list)
 
     def warn(self, text: str) -> None:
         if text not in self.warnings:
@@ -98,11 +100,12 @@ class Report:
         write_text(folder / REPORT_NAME, self.as_json())
 
 
-def earlier_strokes(folder: Path) -> dict[str, StrokeReport]:
-    """Strokes of an earlier run in folder by key; empty where there is none or its report cannot be read."""
+def earlier_strokes(folder: Path, scene: str = "") -> dict[str, StrokeReport]:
+    """Strokes of an earlier run in folder by key; empty where there is none or its report cannot be read. scene: of
+    this scene file alone, "" = whichever."""
     try:
         record = json.loads((folder / REPORT_NAME).read_text(encoding="utf-8"))
-        if record["schema"] != SCHEMA:
+        if record["schema"] != SCHEMA or scene not in ("", record["scene"]):
             return {}
         return {entry["key"]: StrokeReport(**entry) for entry in record["strokes"]}
     except (OSError, ValueError, KeyError, TypeError):

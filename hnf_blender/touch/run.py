@@ -23,13 +23,13 @@ from .feel import BakedStroke, feel
 from .jobs import Gathered, Job, Session, gather
 from .lock import folder_lock
 from .plan import TYPICAL_PATH_M, Fresh, Needed, Plan, patches_at_most
+from .probe_report import probe_line
+from .probe_run import keep_strokes, run_probes, with_probes, without_strokes
 from .report import Report, StrokeReport, earlier_strokes
 from .routes import slot_plans
-from .steps import bake_steps, timed
+from .steps import CACHE_NAME, bake_steps, timed
 from .tokens import store_tokens
 from .view import Views
-
-CACHE_NAME = "cache"
 
 
 def run(request: TouchRequest) -> int:
@@ -39,17 +39,22 @@ def run(request: TouchRequest) -> int:
         scene = _open(request)
         opened = time.monotonic()
         session = _session(scene, request)
-        found = gather(session)
+        found = without_strokes(session) if request.only_probes else gather(session)
         earlier = earlier_strokes(request.out)
-        plan = make_plan(session, found, earlier)
+        plan = with_probes(session, make_plan(session, found, earlier))
         if request.plan_only:
             print(plan.as_json() if request.as_json else plan.as_text())
-            return 1 if found.failed else 0
+            return 1 if plan.failed else 0
         report = _new_report(session, found)
         report.timings = {"open_s": round(opened - started, 3), "plan_s": round(time.monotonic() - opened, 3)}
         bar = ProgressBar()
         try:
-            for progress in touch_steps(session, found, plan, earlier, report):
+            if request.only_probes:
+                keep_strokes(report, request.out, baked_name(session))
+            else:
+                for progress in touch_steps(session, found, plan, earlier, report):
+                    bar.show(progress)
+            for progress in run_probes(session, report):
                 bar.show(progress)
         finally:
             bar.close()
@@ -198,7 +203,9 @@ def _tell(report: Report, request: TouchRequest) -> int:
     if request.as_json:
         print(report.as_json(), end="")
     else:
-        for stroke in report.strokes:
+        for entry in report.probes:
+            print(f"{probe_line(entry)} → {request.out / (entry['tactile_map'] or {}).get('picture', 'report.json')}")
+        for stroke in () if request.only_probes else report.strokes:
             state = "  (fresh)" if stroke.fresh else ""
             print(
                 f"{stroke.name}: {stroke.library_material} ({stroke.confidence:.0%}), {stroke.duration_s:.2f} s, "

@@ -16,6 +16,8 @@ from .feel import BakedStroke, bake_stroke_steps
 from .jobs import Job, Session
 from .report import Failed, Report
 
+CACHE_NAME = "cache"
+"""Of the folder of patches beside a run's results."""
 Each = Callable[[Job, BakedStroke], Iterable[str]]
 """What to do with a described stroke; gives the name of each stage before it begins."""
 

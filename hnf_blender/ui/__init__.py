@@ -11,6 +11,7 @@ MODULES = (
     "stroke_list",
     "scene_panel",
     "materials_panel",
+    "probe_panel",
     "strokes_panel",
     "preview_panel",
     "export_panel",

@@ -29,6 +29,8 @@ KINDS = {
     "note": ("INFO", "To know"),
 }
 """Icon and heading of every kind of plan line, in the order they are shown."""
+RELIEF = "its relief"
+"""How the part of a reason begins that speaks of a relief."""
 ROUTE_WORDS = {
     "measured": "seen in the shader's relief",
     "predicted": "estimated from the picture",
@@ -154,9 +156,39 @@ def routes_lines(routes: str) -> tuple[str, ...]:
 def reason_text(reason: str) -> str:
     """ "'oak' in 'Old oak table'; roughness 0.60 fits" → "the name says oak; roughness 0.60 fits"."""
     words = ", ".join(re.findall(r"'([^']+)' in '", reason))
-    values = [part for part in reason.split("; ") if part.endswith((" fits", " does not fit"))]
+    parts = reason.split("; ")
+    values = [part for part in parts if part.endswith((" fits", " does not fit")) and not part.startswith(RELIEF)]
     said = [tr("the name says {words}").format(words=words)] if words else []
-    return "; ".join(said + values) or reason
+    relief = [_relief_text(part) for part in parts if part.startswith(RELIEF)]
+    return "; ".join(said + values + relief) or tr(reason)
+
+
+def height_text(metres: float) -> str:
+    """A roughness as people say it: "850 nm", "12 µm", "0.35 mm"."""
+    for unit, scale in (("nm", 1e9), ("µm", 1e6), ("mm", 1e3)):
+        value = metres * scale
+        if value < 999.5 or unit == "mm":
+            return f"{value:.0f} {unit}" if value >= 99.5 else f"{value:.2g} {unit}"
+    raise AssertionError("the last unit takes what is left")
+
+
+def factor_text(value: float, factor: float, pattern: str) -> str:
+    """A spread as a span: 0.3 within a factor 1.2 → "0.25 – 0.36"."""
+    return f"{pattern.format(value / factor)} – {pattern.format(value * factor)}"
+
+
+def stiffness_text(newton_per_metre: float, factor: float) -> str:
+    """In N/mm, as springs are sold: "Stiffness: about 60 N/mm (45 – 80)"."""
+    value = newton_per_metre / 1e3
+    return tr("Stiffness: about {value} N/mm ({range})").format(
+        value=f"{value:.3g}", range=factor_text(value, factor, "{:.2g}")
+    )
+
+
+def _relief_text(part: str) -> str:
+    """ "its relief is like denim's" in the interface's language."""
+    like = re.fullmatch(rf"{RELIEF} is like (.+)'s", part)
+    return tr("its relief does not fit") if like is None else tr("its relief is like {name}").format(name=like[1])
 
 
 def sure_text(confidence: float) -> str:

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import bpy
+import numpy as np
 import pytest
 from builders import add_plane, datablock_names
 
+from hnf_blender.bridge.picture_names import picture_names
 from hnf_blender.bridge.shader_values import stated_appearance
 from hnf_blender.compat import switch_nodes_on
 from hnf_blender.ops.materials import CLASSES, LIBRARY, HNF_OT_material_choose, felt_object
 from hnf_blender.rooms import switch_off, switch_on
+from hnf_blender.state.probe import Relief
 from hnf_blender.state.session import STATE
-from hnf_core.material.library import load_library
+from hnf_blender.state.watch import Watch
+from hnf_core.material.library import find, load_library
+from hnf_core.material.token import Token
+from hnf_core.tactile.tactile_map import Route
 
 
 @pytest.fixture(autouse=True)
@@ -202,3 +208,51 @@ def test_the_object_that_is_felt() -> None:
     assert felt_object(bpy.context) is None
     stroke.hnf_stroke.surface = plane
     assert felt_object(bpy.context) == plane
+
+
+def textured(name: str, picture: str) -> bpy.types.Material:
+    """A material whose base colour is a picture of this name, seen through a node group."""
+    made = bpy.data.materials.new(name)
+    switch_nodes_on(made)
+    nodes, links = made.node_tree.nodes, made.node_tree.links
+    shader = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
+    group = bpy.data.node_groups.new("Look", "ShaderNodeTree")
+    group.interface.new_socket("Color", in_out="OUTPUT", socket_type="NodeSocketColor")
+    inner = group.nodes.new("ShaderNodeTexImage")
+    inner.image = bpy.data.images.new(picture, 4, 4)
+    group.links.new(inner.outputs["Color"], group.nodes.new("NodeGroupOutput").inputs[0])
+    holder = nodes.new("ShaderNodeGroup")
+    holder.node_tree = group
+    links.new(holder.outputs[0], shader.inputs["Base Color"])
+    return made
+
+
+def test_names_of_pictures_that_feed_the_shader_are_read_and_no_others() -> None:
+    made = textured("Material", "T_Oak_Planks_BaseColor.png")
+    loose = made.node_tree.nodes.new("ShaderNodeTexImage")
+    loose.image = bpy.data.images.new("steel.png", 4, 4)
+    before = datablock_names()
+    assert picture_names(made) == ("T_Oak_Planks_BaseColor.png",)
+    assert picture_names(None) == ()
+    assert datablock_names() == before
+
+
+def test_a_picture_s_name_suggests_what_it_shows() -> None:
+    made = textured("Material", "T_Oak_Planks_BaseColor.png")
+    touched(made)
+    assert bpy.ops.hnf.suggest() == {"FINISHED"}
+    best = STATE.suggestions["Material"][0]
+    assert best.name == "oak-wood"
+    assert "'oak' in 'T_Oak_Planks_BaseColor.png'" in best.reason
+    assert not made.hnf_touch.library
+
+
+def test_a_relief_that_was_seen_is_evidence_until_the_material_changes() -> None:
+    made = material("Material")
+    touched(made)
+    token = find("corduroy").token
+    STATE.reliefs["Material"] = Relief(Token(token, np.ones(len(token), dtype=bool)), Route.MEASURED)
+    assert bpy.ops.hnf.suggest() == {"FINISHED"}
+    assert STATE.suggestions["Material"][0].name == "corduroy"
+    Watch(bpy.context.scene, bpy.context.view_layer).expect("Material")
+    assert STATE.reliefs == {}
