@@ -28,7 +28,7 @@ sys.path.insert(0, str(ROOT))
 from hnf_core.field.field import FieldConfig  # noqa: E402
 from hnf_core.field.weights import DEFAULT_WEIGHTS, load_field  # noqa: E402
 from hnf_core.simulation.classes import category_of, classes  # noqa: E402
-from hnf_core.training.conditions import speed_grid  # noqa: E402
+from hnf_core.training.conditions import middle_conditions, speed_grid  # noqa: E402
 from hnf_core.training.gathering import Sizes, gather, specimens_of  # noqa: E402
 from hnf_core.training.model import FieldNetwork  # noqa: E402
 from hnf_core.training.recipe import (  # noqa: E402
@@ -39,7 +39,7 @@ from hnf_core.training.recipe import (  # noqa: E402
     gathered_for,
     references_for,
 )
-from hnf_core.training.references import expected_at, middle_conditions, on_new_patches_db  # noqa: E402
+from hnf_core.training.references import expected_at, on_new_patches_db  # noqa: E402
 from hnf_core.training.shared_bars import (  # noqa: E402
     LONG_SCHEDULE,
     directions_of,

@@ -100,8 +100,51 @@ def _order(name: str, instance_seed: int, seed: int, patch: int) -> TileOrder:
     return TileOrder(name, instance_seed, seed_of(f"{seed}/{name}/{instance_seed}") + patch, patch)
 
 
+@dataclass(frozen=True)
+class LaidTile:
+    """A whole tile under its light, before it is cut into views (native pitch PITCH_M, 512 × 512).
+
+    height: (H, W) metres. membranes: (sensor, 2, H, W) slopes in the order of PAIR_SENSORS. photograph: (3, H, W)
+    linear 0–1, without a camera's blur and noise. depth: (64, 64) macro depth in metres over the whole tile. rng: where
+    its random numbers stand.
+    """
+
+    height: Single
+    membranes: Single
+    photograph: Single
+    depth: Float
+    token: Single
+    mechanics: Mechanics | None
+    turn: int
+    unlit: bool
+    rng: np.random.Generator
+
+
 def make_tile(order: TileOrder) -> Pairs:
     """The four views of one tile. The same order gives the same bytes on the same numpy."""
+    tile = laid_tile(order)
+    periodic = np.concatenate([tile.height[None], tile.membranes.reshape(-1, *tile.height.shape)])
+    views = [_view(periodic, tile.photograph, tile.depth, factor, tile.rng) for factor in FACTORS]
+    return Pairs(
+        rgb=np.stack([view.rgb for view in views]),
+        depth=np.stack([view.depth for view in views]),
+        height=np.stack([view.height for view in views]),
+        slopes=np.stack([view.slopes for view in views]),
+        pitch_index=np.arange(len(FACTORS)),
+        tile_index=np.zeros(len(FACTORS), dtype=np.int64),
+        class_name=(order.class_name,),
+        instance_seed=np.array([order.instance_seed]),
+        tile_seed=np.array([order.tile_seed]),
+        patch=np.array([order.patch]),
+        token=tile.token[None],
+        mechanics=_row(tile.mechanics)[None],
+        turn=np.array([tile.turn]),
+        unlit=np.array([tile.unlit]),
+    )
+
+
+def laid_tile(order: TileOrder) -> LaidTile:
+    """One tile, made, lit and touched."""
     recipe, mechanics, piece, turn = _thing(order)
     rng = np.random.default_rng([1, order.tile_seed])
     height = _random_height(order, recipe) if not order.class_name else height_map(recipe, order.tile_seed)
@@ -126,26 +169,18 @@ def make_tile(order: TileOrder) -> Pairs:
     if not light.unlit:
         seen = seen * _exposure(seen, rng)
     membranes = [membrane(spectrum, TILE_PIXELS, PITCH_M, SENSORS[name]) for name in PAIR_SENSORS]
-    periodic = np.stack([height, *(slope for pair in membranes for slope in pair)]).astype(np.float32)
-    photograph = np.ascontiguousarray(np.moveaxis(np.clip(seen, 0.0, 1.0), -1, 0))
-    coarse = decimation(FACTORS[0], True) @ periodic[0] @ decimation(FACTORS[0], True).T
-    depth = macro_depth(coarse.astype(np.float64), shape, TILE_SIZE_M, rng)
-    views = [_view(periodic, photograph, depth, factor, rng) for factor in FACTORS]
-    return Pairs(
-        rgb=np.stack([view.rgb for view in views]),
-        depth=np.stack([view.depth for view in views]),
-        height=np.stack([view.height for view in views]),
-        slopes=np.stack([view.slopes for view in views]),
-        pitch_index=np.arange(len(FACTORS)),
-        tile_index=np.zeros(len(FACTORS), dtype=np.int64),
-        class_name=(order.class_name,),
-        instance_seed=np.array([order.instance_seed]),
-        tile_seed=np.array([order.tile_seed]),
-        patch=np.array([order.patch]),
-        token=token_of(*membranes[0], SENSORS[PAIR_SENSORS[0]])[None],
-        mechanics=_row(mechanics)[None],
-        turn=np.array([turn]),
-        unlit=np.array([light.unlit]),
+    height = np.asarray(height, dtype=np.float32)
+    coarse = decimation(FACTORS[0], True) @ height @ decimation(FACTORS[0], True).T
+    return LaidTile(
+        height=height,
+        membranes=np.stack([np.stack(pair) for pair in membranes]).astype(np.float32),
+        photograph=np.ascontiguousarray(np.moveaxis(np.clip(seen, 0.0, 1.0), -1, 0)),
+        depth=macro_depth(coarse.astype(np.float64), shape, TILE_SIZE_M, rng),
+        token=token_of(*membranes[0], SENSORS[PAIR_SENSORS[0]]),
+        mechanics=mechanics,
+        turn=turn,
+        unlit=light.unlit,
+        rng=rng,
     )
 
 
@@ -264,7 +299,7 @@ def _view(periodic: Single, photograph: Single, depth: Float, factor: int, rng: 
     near = between(depth, centres + row * first, centres + column * first) / pitch
     level = height / np.float32(pitch)
     return _View(
-        rgb=encoded_rgb(_photographed(red_green_blue, rng)),
+        rgb=encoded_rgb(photographed(red_green_blue, rng)),
         depth=(near - near.mean()).astype(np.float16),
         height=(level - level.mean()).astype(np.float16),
         slopes=np.reshape(slopes, (len(PAIR_SENSORS), 2, VIEW_PIXELS, VIEW_PIXELS)).astype(np.float16),
@@ -278,10 +313,10 @@ def _cut(layers: Single, factor: int, rows: slice, columns: slice, periodic: boo
     return np.asarray(matrix[rows] @ layers @ matrix[columns].T)
 
 
-def _photographed(layers: Single, rng: np.random.Generator) -> Single:
-    """(3, 64, 64) light → (64, 64, 3) picture: a little blur, and noise that grows with light as photons' does."""
+def photographed(layers: Single, rng: np.random.Generator) -> Single:
+    """(3, n, n) light → (n, n, 3) picture: a little blur, and noise that grows with light as photons' does."""
     sigma, noise = rng.uniform(*BLUR_PIXELS), rng.uniform(*NOISE)
-    place = np.arange(VIEW_PIXELS)
+    place = np.arange(layers.shape[-1])
     kernel = np.exp(-0.5 * np.square((place[:, None] - place[None, :]) / max(sigma, 0.05)))
     blur = (kernel / kernel.sum(axis=1, keepdims=True)).astype(np.float32)
     seen = np.clip(blur @ layers @ blur.T, 0.0, 1.0)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..metrics.magnitudes import BINS
 from ..metrics.spectra import WINDOW, hann
-from .carriers import MODEL_RATE_HZ
+from .carriers import MODEL_RATE_HZ, Carriers
 from .field import Field, accumulate, evaluate
 from .stroke import StrokeInput
 from .timeline import condition_of, sample_count, states_of
@@ -36,9 +36,11 @@ def expected_densities(field: Field, stroke: StrokeInput, every: int = 1) -> Flo
     """
     action, token_index = states_of(stroke)
     amplitude = accumulate(field.config, evaluate(field, condition_of(stroke, action, token_index)))
-    power = np.square(amplitude.sum(axis=1))[::every]
-    speed = action.speed[::every]
-    carriers = field.config.carriers
+    return window_densities(field.config.carriers, np.square(amplitude.sum(axis=1))[::every], action.speed[::every])
+
+
+def window_densities(carriers: Carriers, power: Float, speed: Float) -> Float:
+    """(n, 100) density that a Hann window of 0.1 s shows at 10 … 1000 Hz of carriers of power (n, K) at speed (n,)."""
     cells = np.zeros((len(power), len(_cell_edges()) - 1))
     if carriers.time_count:
         cells += power[:, carriers.time_slice] @ _shares(carriers.time_edges())

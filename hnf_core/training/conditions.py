@@ -28,6 +28,9 @@ MIDDLE_FORCE_N = (0.3, 3.0)
 OWN_MECHANICS_SHARE = 0.6
 UNKNOWN_SHARE = 0.25
 """Chance of each mechanical value to be withheld from the network."""
+SPEEDS_AND_FORCES = ((0.05, 1.0), (0.1, 0.5), (0.1, 1.0), (0.1, 2.0), (0.2, 1.0), (0.15, 0.7))
+ANGLES_RAD = np.radians([10.0, 77.0, 33.0, 121.0, 154.0, 55.0])
+"""Of middle_conditions."""
 
 
 @dataclass(frozen=True)
@@ -108,3 +111,21 @@ def withhold(mechanics: Mechanics, rng: np.random.Generator) -> Mechanics:
         mechanics.damping_ratio if keep[1] else None,
         mechanics.friction if keep[2] else None,
     )
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A steady stroke with the pen. speed: index into speed_grid(). force: N. angle: rad."""
+
+    speed: int
+    force: float
+    angle: float
+
+
+def middle_conditions() -> list[Condition]:
+    """Six: speed and force about the middle, directions between the tile's axes."""
+    grid = speed_grid()
+    return [
+        Condition(int(np.argmin(np.abs(np.log(grid / speed)))), force, float(angle))
+        for (speed, force), angle in zip(SPEEDS_AND_FORCES, ANGLES_RAD, strict=True)
+    ]

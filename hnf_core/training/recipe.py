@@ -20,15 +20,13 @@ from ..datasets.tactile_pairs import UNSEEN_CLASSES
 from ..field.field import Field, FieldConfig
 from ..field.ranges import Ranges, ranges_of
 from ..material import contact
-from .conditions import speed_grid
+from .conditions import Condition, middle_conditions, speed_grid
 from .fit import Schedule, fit, training_set
 from .gathering import Gathered, Sizes, gather, load_gathered, save_gathered, specimens_of
 from .model import FieldNetwork
 from .references import (
-    Condition,
     References,
     load_references,
-    middle_conditions,
     on_new_patches_db,
     refer,
     save_references,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..errors import FileError
 from ..field.field import FieldConfig
 from ..files import write_bytes
-from .conditions import Steady, speed_grid
+from .conditions import Condition, Steady
 from .fit import Likelihood, network_inputs
 from .model import FieldNetwork
 from .recordings import FINE_BINS, record
@@ -30,26 +30,6 @@ FIRST_PATCH = 100
 PATCHES, STARTS, SECONDS = 3, 3, 1.0
 """9 s per condition: their mean scatters by some 0.35 dB per bin."""
 WITHIN_DB = 30.0
-SPEEDS_AND_FORCES = ((0.05, 1.0), (0.1, 0.5), (0.1, 1.0), (0.1, 2.0), (0.2, 1.0), (0.15, 0.7))
-ANGLES_RAD = np.radians([10.0, 77.0, 33.0, 121.0, 154.0, 55.0])
-
-
-@dataclass(frozen=True)
-class Condition:
-    """A steady stroke with the pen. speed: index into speed_grid(). force: N. angle: rad."""
-
-    speed: int
-    force: float
-    angle: float
-
-
-def middle_conditions() -> list[Condition]:
-    """Six: speed and force about the middle, directions between the tile's axes."""
-    grid = speed_grid()
-    return [
-        Condition(int(np.argmin(np.abs(np.log(grid / speed)))), force, float(angle))
-        for (speed, force), angle in zip(SPEEDS_AND_FORCES, ANGLES_RAD, strict=True)
-    ]
 
 
 @dataclass(frozen=True)

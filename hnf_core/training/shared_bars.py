@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from ..field.features import normalised_tokens
 from ..field.field import FieldConfig
+from .conditions import Condition
 from .fit import Schedule, fit, training_set
 from .gathering import Gathered
 from .model import FieldNetwork
-from .references import Condition, References, distances_db, expected_at, on_new_patches_db
+from .references import References, distances_db, expected_at, on_new_patches_db
 
 Float = NDArray[np.float64]
 

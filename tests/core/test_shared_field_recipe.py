@@ -13,6 +13,7 @@ from hnf_core.errors import FileError  # noqa: E402
 from hnf_core.field.field import FieldConfig, initial_parameters  # noqa: E402
 from hnf_core.material.library import LIBRARY_PATH  # noqa: E402
 from hnf_core.simulation.classes import classes  # noqa: E402
+from hnf_core.training.conditions import Condition, middle_conditions  # noqa: E402
 from hnf_core.training.fit import Schedule, training_set  # noqa: E402
 from hnf_core.training.gathering import (  # noqa: E402
     Sizes,
@@ -24,11 +25,9 @@ from hnf_core.training.gathering import (  # noqa: E402
 from hnf_core.training.model import FieldNetwork  # noqa: E402
 from hnf_core.training.recipe import Plan, fit_gathered, ranges_of_gathered  # noqa: E402
 from hnf_core.training.references import (  # noqa: E402
-    Condition,
     distances_db,
     expected_at,
     load_references,
-    middle_conditions,
     on_new_patches_db,
     refer,
     save_references,
