@@ -1,0 +1,88 @@
+"""Train the encoders of docs/alignment.md and judge them: on GelSight tuples, on DIGIT tuples, on both.
+
+Usage: python tools/train_alignment.py --minutes N [--pixels N] [--batch N] [--data DIR] [--out DIR] [--record FILE]
+Needs the extra "train" and the pairs of tools/make_tactile_pairs.py. Of the minutes each sensor's training takes a
+quarter and that on both takes half, so that each sees a sensor's tuples equally often. What is finished is not done
+again. Weights stay in the folder; the record, with their checksums, is committed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from hnf_core.cli.train_alignment import CHECKPOINT  # noqa: E402
+from hnf_core.errors import FileError  # noqa: E402
+from hnf_core.files import write_text  # noqa: E402
+from hnf_core.training.alignment.data import GeneratedSource  # noqa: E402
+from hnf_core.training.alignment.measure import measure  # noqa: E402
+from hnf_core.training.alignment.models import Models, load_models, save_models  # noqa: E402
+from hnf_core.training.alignment.table import chances, markdown, report  # noqa: E402
+from hnf_core.training.alignment.train import Recipe, fit, use_threads  # noqa: E402
+from hnf_core.training.alignment.tuples import Tuples  # noqa: E402
+
+SHARES = {"gelsight": 0.25, "digit": 0.25, "both": 0.5}
+"""Of the time."""
+
+
+def trained(folder: Path, sensor: str, learn: Tuples, recipe: Recipe, threads: int) -> Models:
+    """The encoders in the folder, trained now where they are not there yet."""
+    try:
+        return load_models(folder)
+    except FileError:
+        pass
+    tuples = learn if sensor == "both" else learn.of_sensor(sensor)
+    version = use_threads(threads)
+
+    def watch(progress: float, loss: float) -> None:
+        print(f"\r{sensor}: {100 * progress:.1f} %, loss {loss:.3f}", end="", file=sys.stderr, flush=True)
+
+    fitted = fit(tuples, recipe, folder / CHECKPOINT, watch)
+    print(file=sys.stderr)
+    told = {"sensor": sensor, "tuples": len(tuples), "threads": threads, "trunk": None, "torch": version}
+    save_models(folder, fitted, recipe, told)
+    (folder / CHECKPOINT).unlink(missing_ok=True)
+    return load_models(folder)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--minutes", type=float, required=True, help="of all three trainings together")
+    parser.add_argument("--pixels", type=int, default=Recipe.pixels)
+    parser.add_argument("--batch", type=int, default=Recipe.batch)
+    parser.add_argument("--rate", type=float, default=Recipe.rate)
+    parser.add_argument("--only", choices=sorted(SHARES), help="train this one and judge nothing")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--data", type=Path, default=ROOT / "build" / "tactile-pairs")
+    parser.add_argument("--out", type=Path, default=ROOT / "build" / "alignment")
+    parser.add_argument("--record", type=Path, default=ROOT / "docs" / "alignment.json")
+    arguments = parser.parse_args()
+    use_threads(arguments.threads)
+    source = GeneratedSource(arguments.data)
+    learn = source.learn()
+    models = []
+    for sensor, part in SHARES.items():
+        if arguments.only in (None, sensor):
+            recipe = Recipe(
+                pixels=arguments.pixels, batch=arguments.batch, chunk=arguments.batch, rate=arguments.rate,
+                minutes=part * arguments.minutes, seed=arguments.seed,
+            )  # fmt: skip
+            models.append(trained(arguments.out / sensor, sensor, learn, recipe, arguments.threads))
+    if arguments.only is not None:
+        return 0
+    judged = source.judge()
+    told = report([measure(each, learn, judged, arguments.seed) for each in models], chances(judged))
+    record = {**told.to_json(), "models": [dict(each.record) for each in models]}
+    write_text(arguments.record, json.dumps(record, indent=1) + "\n")
+    print(markdown(told))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
