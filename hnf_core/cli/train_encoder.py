@@ -27,7 +27,7 @@ def add_parser(subjects: Any) -> argparse.ArgumentParser:
     parser.add_argument("--steps", type=int, metavar="N", help="batches of 64 views (default 12000; with --trunk 3000)")
     parser.add_argument("--minutes", type=float, metavar="M", help="stop after so long, if that is sooner")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of weights, lamps and noise")
-    parser.add_argument("--partial", action="store_true", help="train on the shards that are there already")
+    parser.add_argument("--partial", action="store_true", help="train while the pairs are still being made")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     parser.set_defaults(run=run)
     return parser

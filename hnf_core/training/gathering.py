@@ -99,6 +99,16 @@ def gather(specimens: Sequence[Specimen], sizes: Sizes, seed: int, workers: int 
     )
 
 
+def tokens_by(
+    encoder: str, specimens: Sequence[Specimen], sizes: Sizes, seed: int, workers: int = 2
+) -> NDArray[np.float32]:
+    """(surfaces, TOKEN_DIM): what another make of E (its name or file) says of the surfaces that gather describes."""
+    surfaces = patches(specimens, 0, sizes.patches, workers, encoder)
+    surfaces += random_surfaces(sizes.random, seed, workers, encoder)
+    surfaces += patches(specimens, sizes.patches, sizes.described, workers, encoder) if sizes.described else []
+    return np.stack([surface.token for surface in surfaces])
+
+
 _COLUMNS = ("surface", "stiffness", "damping", "friction", "probe", "speed", "angle", "force", "start_x", "start_y")
 
 

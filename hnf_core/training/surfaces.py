@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..datasets.pair_tiles import FUSION_BORDER_M, LEVEL_DECADES, fuse
-from ..material.encoder import describe
+from ..material.encoders import encoder_by_name
 from ..material.mechanics import Mechanics
+from ..material.token import ENCODER_ID
 from ..simulation.classes import classes, instance, seed_of
 from ..simulation.recipes import random_recipe
 from ..simulation.sampling import SmoothedMaps
@@ -34,14 +35,16 @@ class Surface:
     mechanics: Mechanics | None = None
 
 
-def make_surface(name: str, height: NDArray[np.float32], mechanics: Mechanics | None = None) -> Surface:
-    """Describe a height map (one 20 mm tile) by the product's own path: sensor image, then E."""
+def make_surface(
+    name: str, height: NDArray[np.float32], mechanics: Mechanics | None = None, encoder: str = ENCODER_ID
+) -> Surface:
+    """Describe a height map (one 20 mm tile) by the product's own path: sensor image, then E (a make, or its file)."""
     pitch = TILE_SIZE_M / height.shape[0]
-    token = describe(tactile_map_from_height(height, None, pitch, 2.0 * pitch)).values
+    token = encoder_by_name(encoder).describe(tactile_map_from_height(height, None, pitch, 2.0 * pitch)).values
     return Surface(name, SmoothedMaps(height, keep=4), token, mechanics)
 
 
-def random_surfaces(count: int, seed: int, workers: int = 1) -> list[Surface]:
+def random_surfaces(count: int, seed: int, workers: int = 1, encoder: str = ENCODER_ID) -> list[Surface]:
     """Random recipes; every second one fused from two, because tokens in use are: measured long waves of a bake with a
     library material's short waves."""
     rng = np.random.default_rng(seed)
@@ -54,7 +57,7 @@ def random_surfaces(count: int, seed: int, workers: int = 1) -> list[Surface]:
         if index % 2:
             border_m = np.exp(rng.uniform(*np.log(FUSION_BORDER_M)))
             height = fuse(height, heights[int(rng.integers(count))], 1.0 / border_m)
-        jobs.append((f"random-{index}", height, None))
+        jobs.append((f"random-{index}", height, None, encoder))
     return _made(jobs, workers)
 
 
@@ -88,17 +91,19 @@ def class_specimens(seeds: Sequence[int]) -> list[Specimen]:
     ]
 
 
-def patches(specimens: Sequence[Specimen], first: int, count: int, workers: int = 1) -> list[Surface]:
+def patches(
+    specimens: Sequence[Specimen], first: int, count: int, workers: int = 1, encoder: str = ENCODER_ID
+) -> list[Surface]:
     """Patches first … first + count − 1 of every specimen, described; those of one specimen stand together."""
     jobs: list[Job] = [
-        (each.name, height_map(each.recipe, each.seed + first + index), each.mechanics)
+        (each.name, height_map(each.recipe, each.seed + first + index), each.mechanics, encoder)
         for each in specimens
         for index in range(count)
     ]
     return _made(jobs, workers)
 
 
-Job = tuple[str, NDArray[np.float32], Mechanics | None]
+Job = tuple[str, NDArray[np.float32], Mechanics | None, str]
 
 
 def _made(jobs: list[Job], workers: int) -> list[Surface]:

@@ -51,11 +51,13 @@ def fit(
     seed: int,
     *,
     trunk: dict[str, Tensor] | None = None,
+    refresh: Callable[[], Pairs] | None = None,
     watch: Watch | None = None,
 ) -> AlexNetTwin:
     """Train the whole network, or with a trunk (torchvision's names) the head alone, the trunk as it is.
 
-    watch(step, share done, mean loss of the last steps) is called about a hundred times.
+    refresh: asked for the pairs of every further epoch, for a folder that still grows. watch(step, share done, mean
+    loss of the last steps) is called about a hundred times.
     """
     torch.set_num_threads(1)
     twin = AlexNetTwin(design)
@@ -75,6 +77,8 @@ def fit(
         for group in optimiser.param_groups:
             group["lr"] = schedule.learning_rate * _rate(done, schedule.warm_up)
         if len(rows) < schedule.batch:
+            if refresh is not None and step:
+                pairs, rows = refresh(), rows[:0]
             rows = np.concatenate([rows, rng.permutation(len(pairs))])
         batch = make_batch(pairs, rows[: schedule.batch], lamps, rng)
         rows = rows[schedule.batch :]

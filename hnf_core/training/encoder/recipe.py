@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ...datasets.tactile_pairs import HELD_OUT_INSTANCES, TRAIN, load_pairs
+from ...datasets.tactile_pairs import HELD_OUT_INSTANCES, TRAIN, Pairs, load_pairs
 from ...errors import FileError
 from ...material.alexnet.network import IMAGENET_DEVIATION, IMAGENET_MEAN, AlexNet, Design
 from ...material.alexnet.reading import describe_by_alexnet
@@ -43,7 +43,7 @@ def train_encoder(
 ) -> TrainedEncoder:
     """Train on the pairs in folder: everything, or with a trunk file the head alone. Raises FileError, WeightsError.
 
-    partial: train on the shards that are there.
+    partial: train on the shards that are there, and take in at every epoch what has come since.
     """
     pairs = load_pairs(folder, TRAIN, partial=partial)
     if trunk is None:
@@ -52,7 +52,13 @@ def train_encoder(
         design = design or Design(pixels=USERS_PIXELS, mean=IMAGENET_MEAN, deviation=IMAGENET_DEVIATION)
         weights, digest = load_trunk(trunk)
         source = f"trunk of {trunk.name} (SHA-256 {digest}) as it is, head trained"
-    twin = fit(design, pairs, schedule, seed, trunk=weights, watch=watch)
+
+    def there_now() -> Pairs:
+        nonlocal pairs
+        pairs = load_pairs(folder, TRAIN, partial=True)
+        return pairs
+
+    twin = fit(design, pairs, schedule, seed, trunk=weights, refresh=there_now if partial else None, watch=watch)
     metadata = {
         "training_data": f"{len(pairs)} views of {pairs.tiles} tiles made by this project's generator of surfaces; "
         f"no recorded data; {source}",
