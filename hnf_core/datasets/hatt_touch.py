@@ -16,7 +16,7 @@ from pathlib import Path
 from ..errors import FileError
 from .folders import files_below
 from .names import plain_name
-from .photographs import PICTURES, middle_square, read_picture, resized
+from .photographs import PICTURES, middle_square, read_picture, read_touch, resized
 from .vision_touch import FilePairs, PairFiles, VisionTouchPair, counted, named_split
 
 PHOTO_SIDE_M = 1024 / 15e3
@@ -73,7 +73,7 @@ class HattTouchFolder:
             )
         bare = sum(entry.background is None for entry in entries)
         notes = (
-            f"photographs are taken as {1e3 * PHOTO_SIDE_M:.1f} mm wide, pictures as sRGB, touch as a GelSight's",
+            f"photographs are taken as {1e3 * PHOTO_SIDE_M:.1f} mm wide and sRGB, touch images as a GelSight's",
             "a touch image is of the material that its folder or the beginning of its name says; numbers are takes",
             "photograph and touch show the same texture, not the same place of it",
             *((f"{bare} have no background",) if bare else ()),
@@ -127,8 +127,8 @@ def _words(name: str) -> list[str]:
 def read_pair(files: PairFiles, side: int) -> VisionTouchPair:
     """The photograph as it is, touch and background at side × side pixels. Raises FileError where a file is damaged, or
     touch and background differ in size."""
-    rgb, touch = read_picture(files.rgb), read_picture(files.touch)
-    background = None if files.background is None else read_picture(files.background)
+    rgb, touch = read_picture(files.rgb), read_touch(files.touch)
+    background = None if files.background is None else read_touch(files.background)
     if background is not None and background.shape != touch.shape:
         raise FileError(
             f"is {background.shape[:2]}, the touch image {files.touch.name} {touch.shape[:2]}.",

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from ..errors import FileError, UsageError
 from .folders import file_names, is_plain
-from .photographs import Float32, middle_square, read_depth, read_picture, resized
+from .photographs import Float32, middle_square, read_depth, read_picture, read_touch, resized
 from .vision_touch import FilePairs, PairFiles, VisionTouchPair, counted
 
 SPLIT_FILE = "split_interval.json"
@@ -97,7 +97,7 @@ class TarfFolder:
                 remedy=f"Check that the view folders end in _{self.scale}.",
             )
         notes = (
-            "pictures are taken as sRGB, depth as metres; the views' scale is unknown",
+            "views are taken as sRGB, touch images as they are, depth as metres; the views' scale is unknown",
             *counted(left_out),
             *(f"{count} {what}" for what, count in lacking.items() if count),
         )
@@ -158,9 +158,9 @@ def read_split(path: Path) -> dict[str, list[tuple[str, str]]]:
 
 def read_pair(files: PairFiles, side: int) -> VisionTouchPair:
     """One pair at side × side pixels. Raises FileError where a file is damaged or two do not go together in shape."""
-    rgb, touch = read_picture(files.rgb), read_picture(files.touch)
+    rgb, touch = read_picture(files.rgb), read_touch(files.touch)
     depth = None if files.depth is None else read_depth(files.depth, FARTHEST_M)
-    background = None if files.background is None else read_picture(files.background)
+    background = None if files.background is None else read_touch(files.background)
     if depth is not None and not _one_shape(depth, rgb):
         raise FileError(
             f"is {depth.shape}, its view {rgb.shape[:2]}.", where=str(files.depth), remedy="Get both files again."

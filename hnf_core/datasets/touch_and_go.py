@@ -17,7 +17,7 @@ from pathlib import Path
 
 from ..errors import FileError
 from .folders import file_names, is_plain
-from .photographs import PICTURES, middle_square, read_picture, resized
+from .photographs import PICTURES, middle_square, read_picture, read_touch, resized
 from .vision_touch import FilePairs, PairFiles, VisionTouchPair, counted, named_split
 
 CLASSES = 20
@@ -90,7 +90,7 @@ class TouchAndGoFolder:
             )
         unlabelled = sum(entry.label is None for entry in entries)
         notes = (
-            "pictures are taken as sRGB; the view's scale is unknown; no background was recorded",
+            "views are taken as sRGB, touch images as they are; their scale is unknown; no background was recorded",
             *((f"no {LABELS}: no pair has a label",) if labels is None else ()),
             *((f"{unlabelled} are labelled as undecided",) if labels is not None and unlabelled else ()),
             *counted(left_out),
@@ -163,7 +163,7 @@ def read_pair(files: PairFiles, side: int) -> VisionTouchPair:
     return VisionTouchPair(
         rgb=resized(middle_square(read_picture(files.rgb)), side),
         depth_m=None,
-        touch=resized(middle_square(read_picture(files.touch)), side),
+        touch=resized(middle_square(read_touch(files.touch)), side),
         background=None,
         sensor="gelsight",
         label=files.label,

@@ -25,7 +25,8 @@ class VisionTouchPair:
     """What a camera and a touch sensor saw of one place.
 
     rgb: (H, W, 3) linear, 0 to 1. depth_m: (H, W) of the same pixels, None where it was not recorded.
-    touch: (h, w, 3) linear, 0 to 1. background: the sensor untouched, as touch; None where it was not recorded.
+    touch: (h, w, 3), 0 to 1, the sensor's values as they are (photographs.read_touch). background: the sensor
+    untouched, as touch; None where it was not recorded.
     sensor: whose optics the touch has. label: the material in the data set's own word, None where it has none.
     where: scene, recording or texture. Pairs of one where look alike: a split keeps them together.
     metres_per_pixel: of rgb, None where it is unknown.

@@ -63,7 +63,7 @@ def test_a_pair_keeps_the_photographs_scale(tmp_path):
     assert pair.metres_per_pixel == pytest.approx(1e-3 / 15.0 * 1024 / 64)
     assert pair.touch.shape == (24, 24, 3)
     np.testing.assert_allclose(pair.rgb[0, 0], [linear(c) for c in (150, 75, 30)], rtol=1e-5)
-    np.testing.assert_allclose(pair.touch[0, 0], [linear(c) for c in (30, 200, 30)], rtol=1e-5)
+    np.testing.assert_allclose(pair.touch[0, 0], np.array([30, 200, 30]) / 255.0, rtol=1e-5)
     assert pair.background is None
     assert pair.depth_m is None
 

@@ -54,15 +54,15 @@ def test_the_split_file_decides(tmp_path):
         data.split("tset")
 
 
-def test_a_pair_is_linear_square_and_in_metres(tmp_path):
+def test_a_pair_is_square_and_in_metres(tmp_path):
     pair = write(tmp_path).split("train")[0]
     assert pair.sensor == "digit"
     assert pair.where == "hall"
     assert pair.metres_per_pixel is None
     assert pair.rgb.shape == pair.touch.shape == pair.background.shape == (32, 32, 3)
     np.testing.assert_allclose(pair.rgb[..., 0], linear(MID_GREY), atol=0.02)
-    np.testing.assert_allclose(pair.touch.mean((0, 1)), [linear(c) for c in (30, 60, 90)], atol=0.01)
-    np.testing.assert_allclose(pair.background, linear(90), atol=0.01)
+    np.testing.assert_allclose(pair.touch.mean((0, 1)), np.array([30, 60, 90]) / 255.0, atol=0.01)
+    np.testing.assert_allclose(pair.background, 90 / 255.0, atol=0.01)
     # clipped at 5 m; rows stay rows; what lies beside the middle square is gone
     np.testing.assert_allclose(pair.depth_m[:16], 5.0)
     np.testing.assert_allclose(pair.depth_m[16:], 0.4)

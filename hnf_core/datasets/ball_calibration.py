@@ -1,0 +1,99 @@
+"""Calibrations of touch sensors by a pressed ball, as Taxim and ObjectFolder publish them.
+
+Z. Si & W. Yuan (2022), "Taxim: an example-based simulation model for GelSight tactile sensors", RA-L 7(2); R. Gao et
+al. (2022), "ObjectFolder 2.0", CVPR. dataPack.npz: f0 (H, W, 3) the sensor untouched, imgs (n, H, W, 3), both 8-bit in
+OpenCV's order blue, green, red; touch_center (n, 2) column and row, touch_radius (n,), found by hand. polycalib.npz:
+bins, grad_r, grad_g, grad_b (bins, bins, 6), in the same channel order whatever their names say. The ball's radius and
+the pixel pitch are not in the files but in the programs beside them (Basics/sensorParams.py).
+"""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import FileError
+
+Float = NDArray[np.float64]
+
+BALL_RADIUS_M = 2e-3
+PITCH_M = {"objectfolder": 0.1245e-3, "taxim": 0.0295e-3}
+LARGEST_BYTES = 512 * 2**20
+_AGAIN = "Get the file again from the calibration's own repository."
+
+
+@dataclass(frozen=True, eq=False)
+class BallPresses:
+    """One ball pressed at many places. Code values / 255 in the order red, green, blue, not linearised.
+
+    frames: (n, H, W, 3). background: (H, W, 3), untouched. centre_px: (n, 2), column and row of the ball's centre.
+    ball_radius_px: the ball's, not the contact's.
+    """
+
+    frames: Float
+    background: Float
+    centre_px: Float
+    ball_radius_px: float
+
+
+@dataclass(frozen=True, eq=False)
+class PolynomialTable:
+    """Taxim's optics: per cell of a table over the normal's tilt (0 to π/2) and direction (−π to π), the change against
+    the background as a polynomial of the place. coefficients: (bins, bins, 3, 6), red, green, blue, of x², y², xy, x, y
+    and 1 (pixels), in code values / 255."""
+
+    coefficients: Float
+
+
+def read_ball_presses(path: Path, ball_radius_px: float) -> BallPresses:
+    """A dataPack.npz. Raises FileError where it cannot be used; nothing pickled is read."""
+    parts = _read_npz(path, ("f0", "imgs", "touch_center"))
+    background, frames, centre = parts["f0"], parts["imgs"], parts["touch_center"]
+    if frames.ndim != 4 or frames.shape[1:] != background.shape or frames.shape[3] != 3 or not len(frames):
+        raise FileError(f"frames {frames.shape}, background {background.shape}.", where=str(path), remedy=_AGAIN)
+    if frames.dtype != np.uint8 or background.dtype != np.uint8:
+        raise FileError(f"frames are {frames.dtype}, expected 8 bits.", where=str(path), remedy=_AGAIN)
+    size = frames.shape[2], frames.shape[1]
+    if centre.shape != (len(frames), 2) or not ((centre >= 0) & (centre < size)).all():
+        raise FileError("a ball's centre is outside its frame.", where=str(path), remedy=_AGAIN)
+    return BallPresses(
+        frames[..., ::-1] / 255.0, background[..., ::-1] / 255.0, centre.astype(np.float64), ball_radius_px
+    )
+
+
+def read_polynomial_table(path: Path) -> PolynomialTable:
+    """A polycalib.npz. Raises FileError where it cannot be used; nothing pickled is read."""
+    names = ("grad_r", "grad_g", "grad_b")
+    channels = list(_read_npz(path, names).values())
+    shape = channels[0].shape
+    if len(shape) != 3 or shape[0] != shape[1] or shape[2] != 6 or any(each.shape != shape for each in channels):
+        raise FileError(f"{', '.join(names)} are {[each.shape for each in channels]}.", where=str(path), remedy=_AGAIN)
+    values = np.stack(channels[::-1], axis=2).astype(np.float64)
+    if not np.isfinite(values).all():
+        raise FileError("a coefficient is not finite.", where=str(path), remedy=_AGAIN)
+    return PolynomialTable(values / 255.0)
+
+
+def _read_npz(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            size = sum(entry.file_size for entry in archive.infolist())
+        if size > LARGEST_BYTES:
+            raise FileError(f"{size / 2**20:.0f} MB unpacked are too much.", where=str(path), remedy=_AGAIN)
+        with np.load(path, allow_pickle=False) as archive:
+            missing = [name for name in names if name not in archive]
+            if missing:
+                raise FileError(f"{', '.join(missing)} are missing.", where=str(path), remedy=_AGAIN)
+            parts = {name: np.asarray(archive[name]) for name in names}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, MemoryError, SyntaxError) as error:
+        raise FileError(
+            f"is no archive of plain arrays ({error}). Pickled ones are not read.", where=str(path), remedy=_AGAIN
+        ) from error
+    if any(part.dtype.kind not in "fiu" for part in parts.values()):
+        raise FileError("holds something else than numbers.", where=str(path), remedy=_AGAIN)
+    return parts

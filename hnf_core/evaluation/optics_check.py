@@ -1,0 +1,308 @@
+"""The project's optics (tactile.optics) against real touch sensors: how much of what they show is linear in the normal.
+
+Real balls: fitted on every other press, judged on the rest, then the other way round. Published tables: their own
+response, judged where they were calibrated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise, permutations, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..datasets.ball_calibration import BallPresses, PolynomialTable
+from ..datasets.photographs import srgb_to_linear
+from ..export.picture import linear_to_srgb
+from ..tactile.optics import SENSORS, Sensor
+from . import polynomial_optics
+from .ball_press import (
+    SATURATED,
+    Form,
+    LinearOptics,
+    Pixels,
+    contact_radius_px,
+    fit_linear,
+    offsets_px,
+    pixels_under,
+    sensor_of,
+    turned,
+)
+
+Float = NDArray[np.float64]
+
+TILT_EDGES_DEG = (0.0, 15.0, 30.0, 45.0, 90.0)
+REFIT_BINS = 40
+DECODED_ONE_IN = 16
+"""Reading a table backwards tries every cell for every pixel."""
+STEEPEST_DEG = 58.0
+"""Of the normals that a table is read back to: what the project's own decoding is limited to."""
+FAR_PX = 60.0
+NOMINAL = SENSORS["gelsight"]
+GRAZING_DEG = 20.0
+LINEAR: dict[Form, str] = {
+    "frame": "ours, fitted to frames",
+    "difference": "ours, fitted to frame − background",
+    "ratio": "ours, fitted to frame / background",
+}
+
+
+@dataclass(frozen=True)
+class Row:
+    """numbers: fitted. rms_codes: error of predicted pixels, code values of 255. angle_deg: mean and median angle
+    between true and decoded normal, None where the method does not decode. by_tilt_codes: rms per TILT_EDGES_DEG."""
+
+    name: str
+    numbers: int
+    rms_codes: float
+    angle_deg: tuple[float, float] | None
+    by_tilt_codes: tuple[float, ...]
+
+    @property
+    def psnr_db(self) -> float:
+        return float(20.0 * np.log10(255.0 / self.rms_codes)) if self.rms_codes > 0.0 else float("inf")
+
+
+@dataclass(frozen=True)
+class BallCheck:
+    """noise_codes: rms change of pixels more than FAR_PX away from the ball."""
+
+    presses: int
+    pixels: int
+    contact_px: float
+    steepest_deg: float
+    noise_codes: float
+    rows: tuple[Row, ...]
+
+
+@dataclass(frozen=True)
+class TableCheck:
+    """A published table's own change against the background, rms in codes, and what is left of it by twelve
+    numbers, by 72 that vary over the window, and by the nominal sensor turned and exposed as fits best."""
+
+    name: str
+    change_codes: float
+    linear_codes: float
+    varying_codes: float
+    nominal_codes: float
+
+
+@dataclass(frozen=True)
+class _Guess:
+    colour: Float
+    normal: Float | None
+    sample: NDArray[np.bool_]
+
+
+def check_presses(presses: BallPresses, published: PolynomialTable | None = None) -> BallCheck:
+    """Every method on every pixel under the balls. published: a table that saw all presses, the half it is judged on
+    too: a floor more than a rival. Raises UsageError where the presses do not span all normals."""
+    contact = contact_radius_px(presses)
+    pixels = pixels_under(presses, contact)
+    methods: dict[str, tuple[int, Callable[[Pixels, Pixels], _Guess]]] = {
+        "untouched: the background": (0, lambda fit, judge: _Guess(judge.background, None, _every(judge, 1))),
+        "ours, nominal GelSight as it is": (0, lambda fit, judge: _guess(_mounted(NOMINAL.shading), judge)),
+        "ours, nominal GelSight, turned and exposed as fits best": (
+            2,
+            lambda fit, judge: _guess(_best_mount(fit, NOMINAL), judge),
+        ),
+        f"the same, its lamps {GRAZING_DEG:g}° above the gel instead of {NOMINAL.elevation_deg:g}°": (2, _grazing),
+        **{name: (12, _linear(form)) for form, name in LINEAR.items()},
+        "the same difference, code values decoded as sRGB first": (12, _decoded_first),
+        "linear in the normal, S a quadratic of the place": (72, _varying),
+        f"polynomials fitted anew ({REFIT_BINS} × {REFIT_BINS} cells)": (REFIT_BINS**2 * 18, _refitted),
+    }
+    if published is not None:
+        bins = len(published.coefficients)
+        methods[f"published polynomials ({bins} × {bins} cells; saw every press)"] = (
+            published.coefficients.size,
+            lambda fit, judge: _by_table(published, judge),
+        )
+    halves = [pixels.of(pixels.press % 2 == each) for each in (0, 1)]
+    rows = []
+    for name, (numbers, guess) in methods.items():
+        judged = [(judge, guess(fit, judge)) for fit, judge in (halves, halves[::-1])]
+        rows.append(_row(name, numbers, judged))
+    far = (presses.frames - presses.background)[np.hypot(*offsets_px(presses)) > FAR_PX]
+    return BallCheck(
+        presses=len(presses.frames),
+        pixels=len(pixels.press),
+        contact_px=contact,
+        steepest_deg=float(np.degrees(pixels.tilt.max())),
+        noise_codes=255.0 * _rms(far) if far.size else 0.0,
+        rows=tuple(rows),
+    )
+
+
+def check_table(name: str, table: PolynomialTable, size_px: tuple[int, int], nominal: Sensor = NOMINAL) -> TableCheck:
+    """size_px: width and height of the frames it was made for. nominal: the project's sensor of that kind. Judged
+    at 15 places in the middle 60 %, up to 52°."""
+    width, height = size_px
+    directions, tilts = np.arange(0.0, 360.0, 6.0) + 3.0, np.arange(2.0, 53.0, 5.0)
+    places = [(x * width, y * height) for x, y in product((0.2, 0.35, 0.5, 0.65, 0.8), (0.25, 0.5, 0.75))]
+    grid = np.array([(*place, tilt, towards) for place in places for tilt in tilts for towards in directions])
+    tilt, towards = np.radians(grid[:, 2]), np.radians(grid[:, 3])
+    normal = np.stack([np.sin(tilt) * np.cos(towards), np.sin(tilt) * np.sin(towards), np.cos(tilt)], axis=1)
+    grey = np.full((len(grid), 3), 0.5)
+    bare = Pixels(normal, grey, grey, grid[:, 0], grid[:, 1], np.zeros(len(grid), dtype=np.int64))
+    change = polynomial_optics.change(table, bare)
+    pixels = Pixels(normal, np.minimum(grey + change, 0.97), grey, grid[:, 0], grid[:, 1], bare.press)
+    linear = fit_linear(pixels, "difference").predicted(pixels)
+    mounted = _best_mount(pixels, nominal).predicted(pixels)
+    left = (255.0 * _rms(guess - pixels.colour) for guess in (linear, _varying(pixels, pixels).colour, mounted))
+    return TableCheck(name, 255.0 * _rms(change), *left)
+
+
+def lamps_of(sensor: Sensor) -> list[tuple[float, float, float]]:
+    """Per channel: azimuth and elevation in degrees of the direction it is lit from, and its strength."""
+    out = []
+    for x, y, z in sensor.shading:
+        out.append((float(np.degrees(np.arctan2(y, x)) % 360.0), float(np.degrees(np.arctan2(z, np.hypot(x, y)))),
+                    float(np.sqrt(x * x + y * y + z * z))))  # fmt: skip
+    return out
+
+
+def markdown(check: BallCheck) -> str:
+    """Two tables: errors, and errors by how steep the ball is."""
+    names = [f"{low:g}–{min(high, check.steepest_deg):.0f}°" for low, high in _tilt_ranges(check)]
+    lines = [
+        "| | numbers | RMS [codes] | PSNR [dB] | normal, mean (median) |",
+        "|---|---:|---:|---:|---:|",
+        *(
+            f"| {row.name} | {row.numbers:,} | {row.rms_codes:.1f} | {row.psnr_db:.1f} | "
+            + (f"{row.angle_deg[0]:.1f}° ({row.angle_deg[1]:.1f}°) |" if row.angle_deg else "– |")
+            for row in check.rows
+        ),
+        "",
+        f"| RMS [codes] where the ball is tilted by | {' | '.join(names)} |",
+        "|---|" + "---:|" * len(names),
+        *(
+            f"| {row.name} | {' | '.join(f'{value:.1f}' for value in row.by_tilt_codes[: len(names)])} |"
+            for row in check.rows
+        ),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def tables_markdown(checks: Sequence[TableCheck]) -> str:
+    def left(each: TableCheck, codes: float) -> str:
+        return f"{codes:.1f} ({100 * codes / each.change_codes:.0f} %)"
+
+    lines = [
+        "| published table | its change [codes] | twelve numbers leave | S a quadratic of the place | the nominal |",
+        "|---|---:|---:|---:|---:|",
+        *(
+            f"| {each.name} | {each.change_codes:.1f} | {left(each, each.linear_codes)} | "
+            f"{left(each, each.varying_codes)} | {left(each, each.nominal_codes)} |"
+            for each in checks
+        ),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _linear(form: Form) -> Callable[[Pixels, Pixels], _Guess]:
+    def guess(fit: Pixels, judge: Pixels) -> _Guess:
+        return _guess(fit_linear(fit, form), judge)
+
+    return guess
+
+
+def _guess(optics: LinearOptics, judge: Pixels) -> _Guess:
+    return _Guess(optics.predicted(judge), optics.decoded(judge), _every(judge, 1))
+
+
+def _decoded_first(fit: Pixels, judge: Pixels) -> _Guess:
+    """Whether a camera's code values should be linearised as a photograph's are."""
+
+    def linear(pixels: Pixels) -> Pixels:
+        return replace(pixels, colour=srgb_to_linear(pixels.colour), background=srgb_to_linear(pixels.background))
+
+    guess = _guess(fit_linear(linear(fit.of((fit.colour < SATURATED).all(axis=1))), "difference"), linear(judge))
+    return replace(guess, colour=linear_to_srgb(guess.colour))
+
+
+def _refitted(fit: Pixels, judge: Pixels) -> _Guess:
+    return _by_table(polynomial_optics.fit_table(fit, REFIT_BINS), judge)
+
+
+def _by_table(table: PolynomialTable, judge: Pixels) -> _Guess:
+    sample = _every(judge, DECODED_ONE_IN)
+    normal = polynomial_optics.decoded(table, judge.of(sample), np.radians(STEEPEST_DEG))
+    return _Guess(polynomial_optics.predicted(table, judge), normal, sample)
+
+
+def _grazing(fit: Pixels, judge: Pixels) -> _Guess:
+    return _guess(_best_mount(fit, replace(NOMINAL, elevation_deg=GRAZING_DEG)), judge)
+
+
+def _varying(fit: Pixels, judge: Pixels) -> _Guess:
+    """Near lamps: ambient and S each a quadratic of the place. Not the project's model, but the step beyond it."""
+
+    def terms(pixels: Pixels, scale: Float) -> Float:
+        x, y = pixels.column / scale[0], pixels.row / scale[1]
+        return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+
+    scale = np.array([fit.column.max(), fit.row.max()])
+    light, known = fit.colour - fit.background, fit.colour < SATURATED
+    whole = np.concatenate([fit.normal, np.ones((len(fit.normal), 1))], axis=1)
+    columns = (whole[:, :, None] * terms(fit, scale)[:, None, :]).reshape(len(whole), -1)
+    solved = [np.linalg.lstsq(columns[good], light[good, k], rcond=None)[0] for k, good in enumerate(known.T)]
+    here = np.einsum("kit,mt->mki", np.reshape(solved, (3, 4, 6)), terms(judge, scale))
+    shading, ambient = here[:, :, :3], here[:, :, 3]
+    colour = judge.background + np.einsum("mki,mi->mk", shading, judge.normal) + ambient
+    normal = np.linalg.solve(shading, (judge.colour - judge.background - ambient)[:, :, None])[:, :, 0]
+    normal *= np.sign(normal[:, 2:]) / np.linalg.norm(normal, axis=1, keepdims=True)
+    return _Guess(np.clip(colour, 0.0, 1.0), normal, _every(judge, 1))
+
+
+def _mounted(shading: Float) -> LinearOptics:
+    """A sensor's S as a change against a real background: 0 on the flat gel."""
+    return LinearOptics(sensor_of(shading, -shading[:, 2]), "difference")
+
+
+def _best_mount(pixels: Pixels, sensor: Sensor) -> LinearOptics:
+    """A nominal sensor turned (steps of 5°), mirrored, its channels ordered and its camera exposed as fits best."""
+    few = pixels.of(_every(pixels, max(1, len(pixels.press) // 2000)))
+    tilted, change = few.normal - [0.0, 0.0, 1.0], few.colour - few.background
+    best, least = sensor.shading, np.inf
+    for angle, mirrored, order in product(np.arange(0.0, 360.0, 5.0), (False, True), permutations(range(3))):
+        shading = turned(sensor, float(np.radians(angle)), mirrored, order).shading
+        light = tilted @ shading.T
+        exposure = max(0.0, float(np.sum(light * change) / np.sum(light * light)))
+        error = _rms(exposure * light - change)
+        if error < least:
+            best, least = exposure * shading, error
+    return _mounted(best)
+
+
+def _every(pixels: Pixels, step: int) -> NDArray[np.bool_]:
+    return np.asarray(np.arange(len(pixels.press)) % step == 0)
+
+
+def _row(name: str, numbers: int, judged: Sequence[tuple[Pixels, _Guess]]) -> Row:
+    error = np.concatenate([guess.colour - pixels.colour for pixels, guess in judged])
+    tilt = np.degrees(np.concatenate([pixels.tilt for pixels, _ in judged]))
+    bins = [error[(tilt >= low) & (tilt < high)] for low, high in pairwise(TILT_EDGES_DEG)]
+    angles = [
+        np.arccos(np.clip(np.sum(guess.normal * pixels.normal[guess.sample], axis=1), -1.0, 1.0))
+        for pixels, guess in judged
+        if guess.normal is not None
+    ]
+    angle = np.degrees(np.concatenate(angles)) if angles else np.zeros(0)
+    return Row(
+        name=name,
+        numbers=numbers,
+        rms_codes=255.0 * _rms(error),
+        angle_deg=(float(angle.mean()), float(np.median(angle))) if angles else None,
+        by_tilt_codes=tuple(255.0 * _rms(each) if each.size else 0.0 for each in bins),
+    )
+
+
+def _tilt_ranges(check: BallCheck) -> list[tuple[float, float]]:
+    return [(low, high) for low, high in pairwise(TILT_EDGES_DEG) if low < check.steepest_deg]
+
+
+def _rms(values: Float) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
