@@ -1,0 +1,190 @@
+"""Measure both makes of E and print the tables of docs/encoder.md.
+
+Usage: python tools/evaluate_encoders.py [--pairs DIR] [--encoder NAME|FILE …] [--seed N] [--json FILE]
+Needs the pairs of tools/make_tactile_pairs.py (splits held-out-instances and held-out-classes).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from hnf_core.action.smooth import wandering_action  # noqa: E402
+from hnf_core.datasets.tactile_pairs import (  # noqa: E402
+    HELD_OUT_CLASSES,
+    HELD_OUT_INSTANCES,
+    UNSEEN_CLASSES,
+    Pairs,
+    load_pairs,
+)
+from hnf_core.evaluation.encoders import (  # noqa: E402
+    NEAR,
+    NOISE,
+    Piece,
+    Shot,
+    look,
+    neighbour_distance,
+    piece,
+    signal_distances_db,
+    steadiness,
+)
+from hnf_core.field.weights import load_field  # noqa: E402
+from hnf_core.files import write_text  # noqa: E402
+from hnf_core.material.encoder import describe  # noqa: E402
+from hnf_core.material.encoders import Encoder, describe_with, encoder_by_name  # noqa: E402
+from hnf_core.material.token import BAND_WAVELENGTHS_M, ENCODER_NAMES, Token  # noqa: E402
+from hnf_core.simulation.classes import classes  # noqa: E402
+from hnf_core.training.encoder.judge import Errors, errors_of, judge, map_of_view  # noqa: E402
+
+INSTANCE = 900
+"""Seed of the instances looked at here; pairs are made from others."""
+SHIFTS = (1, 2, 4)
+LAMPS = (1, 2)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--pairs", type=Path, default=ROOT / "build" / "tactile-pairs")
+    parser.add_argument("--encoder", nargs="+", default=list(ENCODER_NAMES), metavar="NAME|FILE")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="every Nth view and class only")
+    arguments = parser.parse_args()
+    encoders = [encoder_by_name(name) for name in arguments.encoder]
+    figures: dict[str, Any] = {}
+    for split in (HELD_OUT_INSTANCES, HELD_OUT_CLASSES):
+        pairs = load_pairs(arguments.pairs, split)
+        figures[split] = {each.name: view_figures(each, pairs, arguments.every) for each in encoders}
+        print(view_tables(split, figures[split]), flush=True)
+    pieces = [piece(name, INSTANCE) for name in classes()[:: arguments.every]]
+    figures["steadiness"] = {each.name: steadiness_figures(each, pieces) for each in encoders}
+    print(steadiness_table(figures["steadiness"]), flush=True)
+    figures["signal"] = signal_figures(encoders, pieces, arguments.seed)
+    print(signal_table(figures["signal"]), flush=True)
+    if arguments.json:
+        write_text(arguments.json, json.dumps(figures, indent=1, default=np.ndarray.tolist) + "\n")
+    return 0
+
+
+def view_figures(encoder: Encoder, pairs: Pairs, every: int) -> dict[str, Any]:
+    """Errors of single views under both sensors, and of a tile's views merged."""
+    rows = np.arange(len(pairs))[::every]
+    tiles = np.unique(pairs.tile_index)[::every]
+    merged = [
+        describe_with(
+            encoder, [map_of_view(pairs, int(row), "gelsight") for row in np.flatnonzero(pairs.tile_index == tile)]
+        )
+        for tile in tiles
+    ]
+    together = errors_of(
+        np.array([token.values for token in merged], dtype=np.float64),
+        np.array([token.known for token in merged]),
+        pairs.token[tiles].astype(np.float64),
+    )
+    return {
+        "one view, GelSight": asdict(judge(encoder, pairs, list(rows), "gelsight")),
+        "one view, DIGIT": asdict(judge(encoder, pairs, list(rows), "digit")),
+        "four views merged": asdict(together),
+    }
+
+
+def view_tables(split: str, figures: dict[str, dict[str, Any]]) -> str:
+    heads = [f"{wavelength * 1e3:g} mm" for wavelength in BAND_WAVELENGTHS_M]
+    lines = [
+        f"### Against the whole tile: {split}",
+        "",
+        "| " + " | ".join(("seen", "make", *heads, "all", "median", "two-fold", "four-fold", "peak", "offset")) + " |",
+        "|---" * (len(heads) + 8) + "|",
+    ]
+    for seen in next(iter(figures.values())):
+        for name, found in figures.items():
+            errors = Errors(**found[seen])
+            cells = [f"{value:.2f}" for value in errors.level_db]
+            cells += [f"{errors.overall_db():.2f}", f"{errors.median_level_db:.2f}"]
+            cells += [
+                f"{np.sqrt(np.nanmean(np.square(getattr(errors, key)))):.3f}"
+                for key in ("two_fold", "four_fold", "peak", "offset")
+            ]
+            lines.append("| " + " | ".join((seen, name, *cells)) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def steadiness_figures(encoder: Encoder, pieces: list[Piece]) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for near, what in ((0, "whole map"), (NEAR, f"1 + {NEAR} views")):
+        plain = Shot(near=near)
+        out[what] = {"nearest other material": [neighbour_distance(encoder, pieces, plain), float("nan")]}
+        for words, shots in perturbed(plain).items():
+            found = [steadiness(encoder, pieces, plain, shot) for shot in shots]
+            out[what][words] = [float(np.mean([f.token for f in found])), float(np.mean([f.level_db for f in found]))]
+    return out
+
+
+def perturbed(plain: Shot) -> dict[str, list[Shot]]:
+    # A pixel of the widest view is eight of the tile; a finest view sees the tile's own.
+    return {
+        **{f"moved by {shift} px (0.{39 * shift:03d} mm)": [replace(plain, shift_px=shift)] for shift in SHIFTS},
+        "other lamps": [replace(plain, lamps=seed) for seed in LAMPS],
+        **{f"noise {noise:g}": [replace(plain, noise=noise)] for noise in NOISE},
+        "DIGIT for GelSight": [replace(plain, sensor="digit")],
+    }
+
+
+def steadiness_table(figures: dict[str, dict[str, Any]]) -> str:
+    lines = ["### How far a token moves", "", "| seen | change | " + " | ".join(figures) + " |"]
+    lines.append("|---" * (2 + len(figures)) + "|")
+    first = next(iter(figures.values()))
+    for what, rows in first.items():
+        for words in rows:
+            cells = []
+            for found in figures.values():
+                token, level = found[what][words]
+                cells.append(f"{token:.3f}" + ("" if np.isnan(level) else f" ({level:.2f} dB)"))
+            lines.append("| " + " | ".join((what, words, *cells)) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def signal_figures(encoders: list[Encoder], pieces: list[Piece], seed: int) -> dict[str, Any]:
+    field, action = load_field(), wandering_action(4.0, seed, speed_m_s=(0.05, 0.25), force_n=(0.5, 2.0))
+    truth: dict[str, Token] = {each.name: describe(look(each, Shot())[0]) for each in pieces}
+    names = {each.name: each.class_name for each in pieces}
+    out: dict[str, Any] = {"unseen": [names[each.name] in UNSEEN_CLASSES for each in pieces]}
+
+    def add(words: str, token: Any) -> None:
+        out[words] = list(signal_distances_db(field, action, pieces, lambda each: truth[each.name], token))
+
+    for encoder in encoders:
+        for near, what in ((0, "whole map"), (NEAR, f"1 + {NEAR} views")):
+            add(f"{encoder.name}, {what}", lambda each, e=encoder, n=near: describe_with(e, look(each, Shot(near=n))))
+    add("another tile of the piece", lambda each: describe(look(piece(each.class_name, INSTANCE, 1), Shot())[0]))
+    add("another piece of the class", lambda each: describe(look(piece(each.class_name, INSTANCE + 1), Shot())[0]))
+    return out
+
+
+def signal_table(figures: dict[str, Any]) -> str:
+    unseen = np.array(figures["unseen"])
+    lines = [
+        "### What the signal makes of it",
+        "",
+        "| token from | median [dB] | 90 % below | worst | median, unseen classes |",
+        "|---|---|---|---|---|",
+    ]
+    for words, values in figures.items():
+        if words != "unseen":
+            found = np.array(values)
+            cells = (np.median(found), np.percentile(found, 90), found.max(), np.median(found[unseen]))
+            lines.append("| " + " | ".join((words, *(f"{value:.2f}" for value in cells))) + " |")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
