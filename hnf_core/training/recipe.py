@@ -19,10 +19,13 @@ from ..action.smooth import steady_action
 from ..datasets.tactile_pairs import UNSEEN_CLASSES
 from ..field.field import Field, FieldConfig
 from ..field.ranges import Ranges, ranges_of
+from ..files import write_atomically
 from ..material import contact
+from ..material.encoders import encoder_by_name
+from ..material.token import ENCODER_ID
 from .conditions import Condition, middle_conditions, speed_grid
 from .fit import Schedule, fit, training_set
-from .gathering import Gathered, Sizes, gather, load_gathered, save_gathered, specimens_of
+from .gathering import Gathered, Sizes, gather, load_gathered, save_gathered, specimens_of, tokens_by
 from .model import FieldNetwork
 from .references import (
     References,
@@ -42,12 +45,14 @@ SHARED = FieldConfig(hidden=256, line_gains=True, stroke_frame=True)
 
 @dataclass(frozen=True)
 class Plan:
-    """variants, elsewhere: of a stroke's input, by its own patch and by others of the material, see training_set."""
+    """variants, elsewhere: of a stroke's input, by its own patch and by others of the material, see training_set.
+    encoders: further makes of E (names or files) whose tokens of those other patches the field learns as well."""
 
     sizes: Sizes = field(default_factory=Sizes)
     schedule: Schedule = field(default_factory=lambda: Schedule(epochs=50, batch=64, token_noise=0.15, ridge=1e-4))
     variants: int = 2
     elsewhere: int = 4
+    encoders: tuple[str, ...] = ()
 
 
 HELD_OUT = UNSEEN_CLASSES
@@ -77,7 +82,8 @@ def train(
         gathered = only_classes(gathered, [specimens[row].class_name for row in known])
         references = only_materials(references, known)
     print(f"simulated after {time.monotonic() - began:.0f} s", file=sys.stderr)
-    network = fit_gathered(gathered, plan, config, seed)
+    tokens = [tokens_for(each, specimens, plan, seed, cache, workers) for each in plan.encoders]
+    network = fit_gathered(gathered, plan, config, seed, tokens)
     print(f"trained after {time.monotonic() - began:.0f} s", file=sys.stderr)
     field = described(network, gathered, references, [specimens[row] for row in known], plan, seed)
     return replace(field, metadata={**field.metadata, "held_out": json.dumps(held_out)}) if held_out else field
@@ -113,16 +119,24 @@ def described(
             "seed": str(seed),
             "metrics": metrics,
             "licence": LICENCE,
+            "encoder": json.dumps(list(dict.fromkeys((ENCODER_ID, *map(_make_of, plan.encoders))))),
         },
     )  # fmt: skip
 
 
-def fit_gathered(gathered: Gathered, plan: Plan, config: FieldConfig, seed: int) -> FieldNetwork:
-    """One field for all strokes gathered."""
+def fit_gathered(
+    gathered: Gathered, plan: Plan, config: FieldConfig, seed: int, others: Sequence[NDArray[np.float32]] = ()
+) -> FieldNetwork:
+    """One field for all strokes gathered. others: what further makes of E say of the same surfaces, (surfaces,
+    TOKEN_DIM) each; every one adds as many variants of every stroke as the library's make has elsewhere."""
     torch.set_num_threads(1)
     rng = np.random.default_rng(seed)
     elsewhere = [gathered.other_patches(rng) for _ in range(plan.elsewhere)]
-    data = training_set(config, gathered.strokes, gathered.tokens, gathered.power, plan.variants, seed, elsewhere)
+    for make in range(1, len(others) + 1):
+        first = make * len(gathered.tokens)
+        elsewhere += [[first + row for row in gathered.other_patches(rng)] for _ in range(plan.elsewhere)]
+    tokens = np.concatenate([gathered.tokens, *others])
+    data = training_set(config, gathered.strokes, tokens, gathered.power, plan.variants, seed, elsewhere)
     return fit(config, data, plan.schedule, seed)
 
 
@@ -134,6 +148,19 @@ def gathered_for(library: Path, plan: Plan, seed: int, cache: Path, workers: int
     gathered = gather(specimens_of(library, plan.sizes), plan.sizes, seed, workers)
     save_gathered(path, gathered)
     return gathered
+
+
+def tokens_for(
+    encoder: str, specimens: Sequence[Specimen], plan: Plan, seed: int, cache: Path, workers: int
+) -> NDArray[np.float32]:
+    """(surfaces, TOKEN_DIM) by another make of E, likewise kept in the cache."""
+    make = encoder_by_name(encoder).content_id
+    path = cache / f"tokens-{_key(make.encode(), (list(specimens), plan.sizes), seed)}.npy"
+    if path.exists():
+        return np.asarray(np.load(path, allow_pickle=False), dtype=np.float32)
+    tokens = tokens_by(encoder, specimens, plan.sizes, seed, workers)
+    write_atomically(path, lambda temporary: np.save(temporary, tokens))
+    return tokens
 
 
 def references_for(
@@ -156,6 +183,10 @@ def ranges_of_gathered(gathered: Gathered, seconds: float) -> Ranges:
         for s in gathered.strokes
     ]  # fmt: skip
     return ranges_of(actions, gathered.tokens, [s.mechanics for s in gathered.strokes], withheld=True)
+
+
+def _make_of(encoder: str) -> str:
+    return encoder_by_name(encoder).name
 
 
 def _key(content: bytes, sizes: object, seed: int) -> str:
