@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hnf_core.action.places import Place, place_at_uv, place_near
+from hnf_core.action.places import Place, of_slot, place_at_uv, place_near
 from hnf_core.cli.probe import ProbePlace
 from hnf_core.field.likeness import token_distances
 from hnf_core.material.estimate import Estimate, estimate, weights_of
@@ -75,14 +75,15 @@ class Probed:
 
 
 def locate(session: Session, asked: ProbePlace) -> tuple[TouchedObject, Place]:
-    """The place that was asked for. Raises SceneError: no such object, no surface, no such UV, or not on it."""
+    """The place that was asked for, within one material slot where one is named ("Cup:Glaze:0.5,0.5").
+
+    Raises SceneError: no such object, no surface, no such UV, or not on it.
+    """
     target = resolve_target(session.scene, asked.target)
-    if target.slot is not None:
-        target = resolve_target(session.scene, asked.target.rpartition(":")[0])
     obj = session.scene.objects[target.object_name]
     touched = session.touched(obj)
     where = f"object '{obj.name}'"
-    mesh = touched.surface.mesh
+    mesh = touched.surface.mesh if target.slot is None else of_slot(touched.surface.mesh, target.slot)
     if len(asked.at) == 2:
         return touched, place_at_uv(mesh, (asked.at[0], asked.at[1]), where=where)
     return touched, place_near(mesh, touched.surface.stretch @ np.asarray(asked.at), where=where)

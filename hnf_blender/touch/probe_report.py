@@ -97,6 +97,7 @@ def _place(probed: Probed) -> dict[str, Any]:
     metres = probed.touched.metres_per_unit
     world_m = surface.rigid[:3, :3] @ place.point + surface.rigid[:3, 3]
     return {
+        "local": _numbers(np.linalg.pinv(surface.stretch) @ place.point),
         "uv": None if place.uv is None else _numbers(place.uv),
         "world": _numbers(world_m / metres),
         "world_normal": _numbers(surface.rigid[:3, :3] @ place.normal),

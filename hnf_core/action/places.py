@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +23,10 @@ INSIDE = 1e-6
 
 @dataclass(frozen=True)
 class Place:
-    """A point of a mesh. triangle, face: index, and polygon it came from. barycentric: (3,). point, normal: (3,) in the
-    mesh's frame, metres. uv: (2,), None where the mesh has no UVs. tangent_known: whether the UVs say which way +x lies
-    there. patch: around it, as a stroke's patch would lie. notes: what a person should know."""
+    """A point of a mesh. triangle, face: index in the mesh it was looked for in, and polygon it came from.
+    barycentric: (3,). point, normal: (3,) in the mesh's frame, metres. uv: (2,), None where the mesh has no UVs.
+    tangent_known: whether the UVs say which way +x lies there. patch: around it, as a stroke's patch would lie. notes:
+    what a person should know."""
 
     triangle: int
     face: int
@@ -41,7 +42,7 @@ class Place:
 def place_at_uv(mesh: TriangleMesh, uv: tuple[float, float], *, where: str = "") -> Place:
     """The place with these UVs; where islands overlap that of the first face, and a note that says so.
 
-    Raises SceneError where the mesh has no UVs, or none of its faces holds the place.
+    Raises SceneError where the mesh has no UVs or no faces, or none of its faces holds the place.
     """
     if mesh.uv is None:
         raise SceneError(
@@ -49,6 +50,7 @@ def place_at_uv(mesh: TriangleMesh, uv: tuple[float, float], *, where: str = "")
             where=where,
             remedy="Unwrap it (UV > Smart UV Project), or name the place as x,y,z in its own coordinates.",
         )
+    _require_faces(mesh, where)
     asked = np.asarray(uv, dtype=np.float64)
     weights = uv_barycentric(mesh.uv, asked)
     held = np.flatnonzero((weights >= -ON_EDGE).all(axis=1))
@@ -67,6 +69,19 @@ def place_at_uv(mesh: TriangleMesh, uv: tuple[float, float], *, where: str = "")
     return _place(mesh, first, np.clip(weights[first], 0.0, 1.0), overlap_notes(others, where))
 
 
+def of_slot(mesh: TriangleMesh, slot: int) -> TriangleMesh:
+    """The part of a mesh that lies in one material slot, with the same vertices."""
+    own = mesh.slot == slot
+    return replace(
+        mesh,
+        triangles=mesh.triangles[own],
+        face=mesh.face[own],
+        slot=mesh.slot[own],
+        normals=mesh.normals[own],
+        uv=None if mesh.uv is None else mesh.uv[own],
+    )
+
+
 def overlap_notes(others: int, where: str) -> tuple[str, ...]:
     """What to say where further faces have the UVs of the one that was taken."""
     if others == 0:
@@ -78,8 +93,9 @@ def overlap_notes(others: int, where: str) -> tuple[str, ...]:
 def place_near(mesh: TriangleMesh, point: Float, *, where: str = "") -> Place:
     """The place nearest to a point (3,) in the mesh's frame.
 
-    Raises SceneError where the surface is further off than a stroke may be (CONTACT_TOLERANCE_M).
+    Raises SceneError where there is no face, or the surface is further off than a stroke may be (CONTACT_TOLERANCE_M).
     """
+    _require_faces(mesh, where)
     asked = np.asarray(point, dtype=np.float64)[None]
     found = nearest_on_triangles(asked, mesh.corner_positions())
     off = float(found.distance[0]) if len(found.distance) else float("inf")
@@ -104,6 +120,11 @@ def uv_barycentric(uv: Float, place: Float) -> Float:
     third = (edge_a[:, 0] * to[:, 1] - edge_a[:, 1] * to[:, 0]) / safe
     weights = np.stack([1.0 - second - third, second, third], axis=1)
     return np.where(good[:, None], weights, -1.0)
+
+
+def _require_faces(mesh: TriangleMesh, where: str) -> None:
+    if len(mesh.triangles) == 0:
+        raise SceneError("no face of it has this material.", where=where, remedy="Leave out the material slot.")
 
 
 def _place(mesh: TriangleMesh, triangle: int, barycentric: Float, notes: tuple[str, ...]) -> Place:

@@ -11,7 +11,8 @@ SHAPE = "OBJECT:u,v"
 
 @dataclass(frozen=True)
 class ProbePlace:
-    """target: name of an object. at: its UV (2 numbers), or a point in its own coordinates, Blender units (3)."""
+    """target: name of an object, and after a colon of a material slot where only that is meant. at: its UV (2 numbers),
+    or a point in its own coordinates, Blender units (3)."""
 
     target: str
     at: tuple[float, ...]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from hnf_core.action.contacts import StrokeSamples, find_contacts
 from hnf_core.action.patches import plan_patches
-from hnf_core.action.places import place_at_uv, place_near, uv_barycentric
+from hnf_core.action.places import of_slot, place_at_uv, place_near, uv_barycentric
 from hnf_core.cli.probe import probe_place
 from hnf_core.errors import SceneError
 from hnf_core.scene.mesh import TriangleMesh
@@ -109,6 +109,18 @@ def test_of_overlapping_islands_the_first_face_is_taken_and_it_is_said() -> None
     assert "1 more face has the same UV" in place.notes[0]
     three = place_at_uv(joined(square(), square(), square()), (0.25, 0.5))
     assert "2 more faces have" in three.notes[0]
+
+
+def test_a_slot_parts_islands_that_overlap() -> None:
+    mesh = joined(square(height=0.2), square(slot=1))
+    place = place_at_uv(of_slot(mesh, 1), (0.25, 0.5))
+    assert place.notes == ()
+    assert (place.point[2], place.face, place.patch.slot) == (0.0, 1, 1)
+    assert place_near(of_slot(mesh, 1), np.array([0.05, 0.05, 0.001])).patch.slot == 1
+    with pytest.raises(SceneError, match="no face of it"):
+        place_at_uv(of_slot(mesh, 7), (0.25, 0.5))
+    with pytest.raises(SceneError, match="no face of it"):
+        place_near(of_slot(mesh, 7), np.zeros(3))
 
 
 def test_neighbours_that_share_an_edge_do_not_overlap() -> None:
