@@ -10,6 +10,7 @@ from hnf_core import __version__
 from hnf_core.action.primitives import DEFAULT_PRIMITIVE, Primitive
 from hnf_core.cli.touch import TouchRequest
 from hnf_core.errors import HnfError, SceneError
+from hnf_core.field.weights import load_field, refuse_other_encoders
 from hnf_core.files import content_hash
 from hnf_core.material.hnf_file import MaterialFile
 from hnf_core.material.library import LIBRARY_PATH, find
@@ -94,6 +95,7 @@ class Session:
         ]
         library = content_hash(LIBRARY_PATH.read_bytes())
         self.seeing = Seeing(request.encoder)
+        refuse_other_encoders(load_field(), (self.seeing.measured.name, self.seeing.predicted.name))
         made_by = f"{__version__} {PATCH_PIXELS} {SENSOR} {STORE_VERSION}"
         self._made_by = content_hash(field_id, library, self.seeing.measured.content_id, made_by)
 

@@ -10,10 +10,10 @@ import numpy as np
 from hnf_core.errors import FileError, SceneError
 from hnf_core.files import content_hash
 from hnf_core.material.palette import Palette, build_palette
-from hnf_core.material.token import LEVELS
+from hnf_core.material.token import ENCODER_ID, LEVELS, split_encoders
 
 from ..bridge.storage import UNBAKED, FaceTokens, read_tokens, write_tokens
-from .bake import TouchedObject
+from .bake import TouchedObject, encoder_of
 from .feel import BakedStroke
 from .jobs import SurfaceFacts
 
@@ -47,11 +47,12 @@ def face_tokens(mesh: Any, strokes: Sequence[BakedStroke]) -> FaceTokens:
     count = len(mesh.polygons)
     index = np.full(count, UNBAKED, dtype=np.int32)
     confidence = np.zeros(count, dtype=np.float32)
-    tokens, mechanics, names = [], [], []
+    tokens, mechanics, names, makes = [], [], [], {ENCODER_ID}
     if earlier is not None:
         index, confidence = earlier.index.copy(), earlier.confidence.copy()
         tokens, mechanics = list(earlier.palette.tokens), list(earlier.palette.mechanics)
         names = list(earlier.palette.names)
+        makes.update(split_encoders(earlier.palette.encoder_id))
     for stroke in strokes:
         for patch, record, fused in zip(stroke.patches, stroke.records, stroke.fused, strict=True):
             index[record.faces] = len(tokens)
@@ -59,8 +60,11 @@ def face_tokens(mesh: Any, strokes: Sequence[BakedStroke]) -> FaceTokens:
             tokens.append(fused.values)
             mechanics.append(stroke.materials[patch.slot].library.mechanics)
             names.append(stroke.materials[patch.slot].library.name)
+            makes.update({encoder_of(record)} - {""})
     used = sorted(set(index[index >= 0].tolist()))
-    palette, merged = build_palette([tokens[i] for i in used], [mechanics[i] for i in used], [names[i] for i in used])
+    palette, merged = build_palette(
+        [tokens[i] for i in used], [mechanics[i] for i in used], [names[i] for i in used], encoders=makes
+    )
     lookup = np.full(len(tokens) + 1, UNBAKED, dtype=np.int32)
     lookup[used] = merged
     index = lookup[index]  # UNBAKED is −1, the last entry
