@@ -17,13 +17,13 @@ from hnf_core.datasets.tactile_pairs import TRAIN, joined, load_pairs, load_shar
 from hnf_core.errors import FileError, UsageError
 
 ROOT = Path(__file__).resolve().parents[2]
-FEW = PairSizes(train=6, instances=0, unseen_instances=0)
+FEW = PairSizes(train=3, instances=0, unseen_instances=0)
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("pairs")
-    assert make_pairs(folder, FEW, 3, tiles_per_shard=2) == 3
+    assert make_pairs(folder, FEW, 3, tiles_per_shard=1) == 3
     return folder
 
 
@@ -33,29 +33,29 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 def test_shards_come_back_and_join(made: Path) -> None:
     pairs = load_pairs(made, TRAIN)
-    assert len(pairs) == 24
-    assert pairs.tile_index.tolist() == sorted(list(range(6)) * 4)
+    assert len(pairs) == 12
+    assert pairs.tile_index.tolist() == sorted(list(range(3)) * 4)
     wanted = orders(TRAIN, FEW, 3)
     assert pairs.class_name == tuple(order.class_name for order in wanted)
-    again = joined([make_tile(order) for order in wanted[4:]])
-    assert np.array_equal(pairs.slopes[16:], again.slopes)
-    assert np.array_equal(pairs.rgb[16:], again.rgb)
+    again = joined([make_tile(order) for order in wanted[2:]])
+    assert np.array_equal(pairs.slopes[8:], again.slopes)
+    assert np.array_equal(pairs.rgb[8:], again.rgb)
 
 
 def test_a_second_run_writes_nothing_and_a_damaged_shard_is_made_again(made: Path) -> None:
     before = contents(made)
-    assert make_pairs(made, FEW, 3, tiles_per_shard=2) == 0
+    assert make_pairs(made, FEW, 3, tiles_per_shard=1) == 0
     path = shard_path(made, TRAIN, 1)
     path.write_bytes(path.read_bytes()[:-1000])
     with pytest.raises(FileError):
         load_pairs(made, TRAIN)
-    assert make_pairs(made, FEW, 3, tiles_per_shard=2) == 1
+    assert make_pairs(made, FEW, 3, tiles_per_shard=1) == 1
     assert contents(made) == before
 
 
 def test_bytes_do_not_depend_on_workers(made: Path, tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
-    make_pairs(tmp_path, FEW, 3, 2, lambda done, total: told.append((done, total)), tiles_per_shard=2)
+    make_pairs(tmp_path, FEW, 3, 2, lambda done, total: told.append((done, total)), tiles_per_shard=1)
     assert contents(tmp_path) == contents(made)
     assert told == [(0, 3), (1, 3), (2, 3), (3, 3)]
 
@@ -65,7 +65,7 @@ def test_a_killed_run_leaves_whole_shards_and_goes_on(made: Path, tmp_path: Path
         "from pathlib import Path; import sys\n"
         "from hnf_core.datasets.pair_shards import make_pairs\n"
         "from hnf_core.datasets.pair_tiles import PairSizes\n"
-        "make_pairs(Path(sys.argv[1]), PairSizes(6, 0, 0), 3, tiles_per_shard=2)"
+        "make_pairs(Path(sys.argv[1]), PairSizes(3, 0, 0), 3, tiles_per_shard=1)"
     )
     run = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], cwd=ROOT)
     deadline = time.monotonic() + 60.0
@@ -75,14 +75,14 @@ def test_a_killed_run_leaves_whole_shards_and_goes_on(made: Path, tmp_path: Path
     assert run.wait(10) != 0
     # What a kill in the middle of a write leaves behind.
     (tmp_path / TRAIN / ".0002-x.safetensors").write_bytes(b"half")
-    shards = shards_of(tmp_path, TRAIN, FEW, 3, 2)
+    shards = shards_of(tmp_path, TRAIN, FEW, 3, 1)
     there = [shard for shard in shards if shard.path.exists()]
     assert there
     assert all(is_made(shard) for shard in there)
     with pytest.raises(FileError, match="shards"):
         load_pairs(tmp_path, TRAIN)
-    assert load_pairs(tmp_path, TRAIN, partial=True).tiles == 2 * len(there)
-    make_pairs(tmp_path, FEW, 3, tiles_per_shard=2)
+    assert load_pairs(tmp_path, TRAIN, partial=True).tiles == len(there)
+    make_pairs(tmp_path, FEW, 3, tiles_per_shard=1)
     assert contents(tmp_path) == contents(made)
 
 
