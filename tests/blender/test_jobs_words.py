@@ -41,7 +41,7 @@ MESSAGES = st.one_of(
     st.builds(Finished),
     st.builds(Broken, st.text()),
 )
-INPUTS = Inputs("made", "scale", "shape", "shading", "choices", "path", "touch")
+INPUTS = Inputs("made", "scale", "shape", "shading", "sight", "choices", "path", "touch")
 
 
 @given(MESSAGES)
@@ -114,13 +114,13 @@ def test_what_changed_has_a_name_and_keys_follow_it() -> None:
     """Force, seed and probe change the key alone; the path changes path_key too; nothing of a stroke the surface's."""
     assert INPUTS.changes(INPUTS) == ()
     keys = {INPUTS.key}
-    for name in ("made_by", "scale", "shape", "shading", "choices", "path", "touch"):
+    for name in ("made_by", "scale", "shape", "shading", "sight", "choices", "path", "touch"):
         other = replace(INPUTS, **{name: "other"})
         assert len(other.changes(INPUTS)) == 1
         keys.add(other.key)
         assert (other.path_key == INPUTS.path_key) == (name == "touch")
         assert (other.surface_key == INPUTS.surface_key) == (name in ("touch", "path"))
-    assert len(keys) == 8
+    assert len(keys) == 9
     assert Inputs.from_text(INPUTS.to_text()) == INPUTS
     assert Inputs.from_text("[]") is None
     assert Inputs.from_text(None) is None
