@@ -84,7 +84,7 @@ def report(folder: Path, picture: Path | None, response: Path | None) -> None:
             for channel, (azimuth, elevation, strength) in zip(("red", "green", "blue"), lamps_of(fitted), strict=True):
                 print(f"{channel}: lit from {azimuth:.0f}°, {elevation:.0f}° above the gel, strength {strength:.2f}")
             if picture is not None and published is not None:
-                presses_picture(picture, presses, published, SHOWN)
+                presses_picture(picture, presses, published, [each for each in SHOWN if each < check.presses])
             if response is not None and published is not None:
                 response_picture(response, presses, published)
     print()

@@ -21,6 +21,8 @@ Float32 = NDArray[np.float32]
 
 PICTURES = (".jpg", ".jpeg", ".png", ".bmp")
 FORMATS = ("JPEG", "PNG", "BMP")
+MODES = ("1", "L", "LA", "P", "RGB", "RGBA", "CMYK", "YCbCr")
+"""Pillow's names of what has 8 bits a channel; it would clip deeper ones without a word."""
 MOST_PIXELS = 50_000_000
 SMALLEST_SIDE = 16
 LARGEST_BYTES = 256 * 2**20
@@ -52,7 +54,7 @@ def _codes(path: Path) -> NDArray[np.uint8]:
         raise FileError(f"pictures need Pillow ({error}).", where=str(path), remedy="Install it.") from error
     try:
         with PIL.Image.open(path, formats=FORMATS) as picture:
-            _check_size(picture, path)
+            _check_kind(picture, path)
             return np.asarray(picture.convert("RGB"), dtype=np.uint8)
     # A damaged file makes Pillow raise nearly anything: SyntaxError, struct.error, OverflowError, …
     except (OSError, ValueError, SyntaxError, EOFError, ArithmeticError, LookupError, TypeError, AttributeError,
@@ -60,7 +62,9 @@ def _codes(path: Path) -> NDArray[np.uint8]:
         raise FileError(f"cannot be read as a picture ({error}).", where=str(path), remedy=_AGAIN) from error
 
 
-def _check_size(picture: Image, path: Path) -> None:
+def _check_kind(picture: Image, path: Path) -> None:
+    if picture.mode not in MODES:
+        raise FileError(f"is of the kind {picture.mode}, not of 8 bits.", where=str(path), remedy="Convert it to PNG.")
     width, height = picture.size
     if width * height > MOST_PIXELS or min(width, height) < SMALLEST_SIDE:
         raise FileError(f"has {width} × {height} pixels.", where=str(path), remedy=_AGAIN)

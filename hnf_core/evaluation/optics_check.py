@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..datasets.ball_calibration import BallPresses, PolynomialTable
 from ..datasets.photographs import srgb_to_linear
+from ..errors import UsageError
 from ..export.picture import linear_to_srgb
 from ..tactile.optics import SENSORS, Sensor
 from . import polynomial_optics
@@ -98,7 +99,9 @@ class _Guess:
 
 def check_presses(presses: BallPresses, published: PolynomialTable | None = None) -> BallCheck:
     """Every method on every pixel under the balls. published: a table that saw all presses, the half it is judged on
-    too: a floor more than a rival. Raises UsageError where the presses do not span all normals."""
+    too: a floor more than a rival. Raises UsageError for one press, or where they do not span all normals."""
+    if len(presses.frames) < 2:
+        raise UsageError("one press can be fitted or judged, not both.", remedy="Give more presses.")
     contact = contact_radius_px(presses)
     pixels = pixels_under(presses, contact)
     methods: dict[str, tuple[int, Callable[[Pixels, Pixels], _Guess]]] = {

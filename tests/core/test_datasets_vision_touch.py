@@ -12,7 +12,7 @@ from picture_files import MID_GREY, image, linear, write_picture, write_pixels
 
 from hnf_core.datasets import photographs
 from hnf_core.datasets.folders import is_plain
-from hnf_core.datasets.photographs import middle_square, read_array, read_depth, read_picture, resized
+from hnf_core.datasets.photographs import middle_square, read_array, read_depth, read_picture, read_touch, resized
 from hnf_core.datasets.vision_touch import FilePairs, PairFiles, VisionTouchPair, readable, split_by_place
 from hnf_core.errors import FileError, UsageError
 
@@ -95,6 +95,12 @@ def test_pictures_become_linear_light(tmp_path, mode):
     assert read_picture(every).max() == 1.0
 
 
+def test_touch_images_stay_as_they_are(tmp_path):
+    values = read_touch(write_picture(tmp_path / "a.png"))
+    assert values.dtype == np.float32
+    np.testing.assert_allclose(values[0, 0], np.array([MID_GREY, 128, 0]) / 255.0, rtol=1e-6)
+
+
 def test_means_are_of_light_and_a_square_is_in_the_middle(tmp_path):
     columns = np.zeros((16, 32, 3), dtype=np.uint8)
     columns[:, ::2] = 255
@@ -156,6 +162,9 @@ def test_what_is_no_picture_is_refused(tmp_path, monkeypatch):
     image.new("RGB", (40, 40)).save(tmp_path / "c.tiff")
     with pytest.raises(FileError, match="cannot be read"):
         read_picture(tmp_path / "c.tiff")
+    image.fromarray(np.full((20, 20), 40_000, dtype=np.uint16)).save(tmp_path / "deep.png")
+    with pytest.raises(FileError, match=r"deep\.png: is of the kind I;16, not of 8 bits"):
+        read_picture(tmp_path / "deep.png")
     with pytest.raises(FileError, match="has 64 × 8 pixels"):
         read_picture(write_picture(tmp_path / "d.png", height=8))
     monkeypatch.setattr(photographs, "MOST_PIXELS", 1000)

@@ -186,6 +186,12 @@ def test_a_check_of_ideal_presses_leaves_nothing():
     assert "| polynomials fitted anew (40 × 40 cells) | 28,800 |" in text
 
 
+def test_one_press_is_not_judged_by_itself():
+    presses = pressed(SENSORS["gelsight"])
+    with pytest.raises(UsageError, match="not both"):
+        check_presses(replace(presses, frames=presses.frames[:1], centre_px=presses.centre_px[:1]))
+
+
 def test_a_linear_table_is_linear_whatever_its_mount_and_exposure():
     mounted = turned(SENSORS["gelsight"], np.radians(35.0), True, (1, 2, 0))
     check = check_table("made", taxim_table(sensor_of(0.6 * mounted.shading, np.zeros(3)), 120), (64, 48))
