@@ -101,7 +101,9 @@ def rank(
     judged = dict.fromkeys(field for look in looks for field in look)
     usual = {field: float(np.median([look.get(field, 0.0) for look in looks])) for field in judged}
     reasons = [
-        _reason(hits[material.name], look, usual, appearance, relief_verdict(material, float(odds)))
+        _reason(
+            hits[material.name], look, usual, appearance, relief_verdict(material, float(odds), float(relief.max()))
+        )
         for material, look, odds in zip(library, looks, relief, strict=True)
     ]
     # Within a category aptness differs by the material's own probability alone, so the order is the posterior's.
@@ -109,11 +111,12 @@ def rank(
     return tuple(Suggestion(library[i].name, float(aptness[i]), reasons[i], float(probability[i])) for i in order)
 
 
-def relief_verdict(material: LibraryMaterial, log_odds: float) -> str:
-    """What the relief says of a material, in words; "" where it says little."""
+def relief_verdict(material: LibraryMaterial, log_odds: float, best: float) -> str:
+    """What the relief says of a material, in words; "" where it says little. best: the highest log odds of the library:
+    a relief that is like no material's speaks against none."""
     if log_odds > TELLING:
         return f"its relief is like {material.name}'s"
-    return "its relief does not fit" if log_odds < -TELLING else ""
+    return "its relief does not fit" if log_odds < min(0.0, best) - TELLING else ""
 
 
 def _log_prior(library: Sequence[LibraryMaterial]) -> NDArray[np.float64]:

@@ -102,6 +102,14 @@ def test_words_and_looks_outweigh_a_relief() -> None:
     assert "its relief does not fit" in told.reason
 
 
+def test_a_relief_that_is_like_nothing_speaks_against_nothing() -> None:
+    odd = find("denim").token.copy()
+    odd[LEVELS] = -1.0
+    ranked = rank(LIBRARY, Appearance(), ["oak"], token=Token(odd, ALL))
+    assert ranked[0].name == "oak-wood"
+    assert not any("relief" in each.reason for each in ranked)
+
+
 def test_without_a_relief_the_ranking_is_what_it_was() -> None:
     look = Appearance((0.3, 0.2, 0.1), 0.6, 0.0)
     assert rank(LIBRARY, look, ["chair"]) == rank(LIBRARY, look, ["chair"], token=None, route=Route.PREDICTED)
