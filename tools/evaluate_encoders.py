@@ -36,6 +36,7 @@ from hnf_core.evaluation.encoders import (  # noqa: E402
     piece,
     signal_distances_db,
     steadiness,
+    tokens_at,
 )
 from hnf_core.field.weights import load_field  # noqa: E402
 from hnf_core.files import write_text  # noqa: E402
@@ -122,9 +123,10 @@ def steadiness_figures(encoder: Encoder, pieces: list[Piece]) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for near, what in ((0, "whole map"), (NEAR, f"1 + {NEAR} views")):
         plain = Shot(near=near)
-        out[what] = {"nearest other material": [neighbour_distance(encoder, pieces, plain), float("nan")]}
+        first = tokens_at(encoder, pieces, plain)
+        out[what] = {"nearest other material": [neighbour_distance(first, pieces), float("nan")]}
         for words, shots in perturbed(plain).items():
-            found = [steadiness(encoder, pieces, plain, shot) for shot in shots]
+            found = [steadiness(first, tokens_at(encoder, pieces, shot)) for shot in shots]
             out[what][words] = [float(np.mean([f.token for f in found])), float(np.mean([f.level_db for f in found]))]
     return out
 

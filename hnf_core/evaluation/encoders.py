@@ -106,18 +106,22 @@ class Steadiness:
     level_db: float
 
 
-def steadiness(encoder: Encoder, pieces: Sequence[Piece], first: Shot, second: Shot) -> Steadiness:
-    """How far a token moves from one shot to another of the same piece."""
-    pairs = [[describe_with(encoder, look(each, shot)) for shot in (first, second)] for each in pieces]
+def tokens_at(encoder: Encoder, pieces: Sequence[Piece], shot: Shot) -> list[Token]:
+    """The token of every piece in a shot."""
+    return [describe_with(encoder, look(each, shot)) for each in pieces]
+
+
+def steadiness(first: Sequence[Token], second: Sequence[Token]) -> Steadiness:
+    """How far the tokens of the same pieces move from one shot to another."""
+    pairs = list(zip(first, second, strict=True))
     return Steadiness(
         float(np.median([token_distance(a, b) for a, b in pairs])),
         float(np.median([level_change_db(a, b) for a, b in pairs])),
     )
 
 
-def neighbour_distance(encoder: Encoder, pieces: Sequence[Piece], shot: Shot) -> float:
+def neighbour_distance(tokens: Sequence[Token], pieces: Sequence[Piece]) -> float:
     """Median distance of a piece's token to the nearest one of another class."""
-    tokens = [describe_with(encoder, look(each, shot)) for each in pieces]
     nearest = [
         min(token_distance(a, b) for b, other in zip(tokens, pieces, strict=True) if other.class_name != own.class_name)
         for a, own in zip(tokens, pieces, strict=True)

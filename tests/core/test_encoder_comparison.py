@@ -14,6 +14,7 @@ from hnf_core.evaluation.encoders import (
     signal_distances_db,
     steadiness,
     token_distance,
+    tokens_at,
 )
 from hnf_core.field.weights import load_field
 from hnf_core.material.encoder import describe, smooth_token_values
@@ -60,9 +61,11 @@ def test_views_are_one_widest_and_some_finest():
 
 
 def test_the_descriptor_does_not_care_for_the_sensor_but_for_noise():
-    sensor = steadiness(DESCRIPTOR, PIECES, Shot(), Shot(sensor="digit"))
-    noise = steadiness(DESCRIPTOR, PIECES, Shot(), Shot(noise=0.02))
-    apart = neighbour_distance(DESCRIPTOR, PIECES, Shot())
+    plain, digit, noisy = (
+        tokens_at(DESCRIPTOR, PIECES, shot) for shot in (Shot(), Shot(sensor="digit"), Shot(noise=0.02))
+    )
+    sensor, noise = steadiness(plain, digit), steadiness(plain, noisy)
+    apart = neighbour_distance(plain, PIECES)
     assert sensor.token < 0.02 * apart
     assert sensor.level_db < 0.1
     assert noise.level_db > 1.0
