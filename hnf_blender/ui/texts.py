@@ -7,6 +7,8 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from hnf_core.material.words import is_picture_name
+
 from ..state.session import Freshness, JobStatus, PlanLine, PlanView, StrokeStatus
 from ..translations import tr
 
@@ -155,10 +157,13 @@ def routes_lines(routes: str) -> tuple[str, ...]:
 
 def reason_text(reason: str) -> str:
     """ "'oak' in 'Old oak table'; roughness 0.60 fits" → "the name says oak; roughness 0.60 fits"."""
-    words = ", ".join(re.findall(r"'([^']+)' in '", reason))
+    found = re.findall(r"'([^']+)' in '([^']*)'", reason)
+    named = ", ".join(word for word, name in found if not is_picture_name(name))
+    pictured = ", ".join(word for word, name in found if is_picture_name(name))
     parts = reason.split("; ")
     values = [part for part in parts if part.endswith((" fits", " does not fit")) and not part.startswith(RELIEF)]
-    said = [tr("the name says {words}").format(words=words)] if words else []
+    said = [tr("the name says {words}").format(words=named)] if named else []
+    said += [tr("a picture's name says {words}").format(words=pictured)] if pictured else []
     relief = [_relief_text(part) for part in parts if part.startswith(RELIEF)]
     return "; ".join(said + values + relief) or tr(reason)
 

@@ -58,6 +58,28 @@ def test_reasons_are_short() -> None:
     assert "roughness 0.60 fits" in texts.reason_text(reason)
 
 
+def test_reasons_tell_pictures_and_relief_apart_from_names() -> None:
+    reason = "'oak' in 'T_Oak.png'; 'wood' in 'Old wood'; colour fits; its relief is like oak-wood's"
+    assert texts.reason_text(reason) == (
+        "the name says wood; a picture's name says oak; colour fits; its relief is like oak-wood"
+    )
+    assert texts.reason_text("its relief does not fit") == "its relief does not fit"
+
+
+@pytest.mark.parametrize(
+    ("metres", "said"),
+    [(0.0, "0 nm"), (5.2e-8, "52 nm"), (9.994e-7, "999 nm"), (1e-6, "1 µm"), (21.2e-6, "21 µm"), (3.5e-4, "350 µm"),
+     (2.5e-3, "2.5 mm"), (0.25, "250 mm")],
+)  # fmt: skip
+def test_roughness_is_said_in_the_unit_that_suits_it(metres: float, said: str) -> None:
+    assert texts.height_text(metres) == said
+
+
+def test_spreads_are_said_as_spans() -> None:
+    assert texts.factor_text(0.3, 1.2, "{:.2f}") == "0.25 – 0.36"
+    assert texts.stiffness_text(60_000.0, 1.5) == "Stiffness: about 60 N/mm (40 – 90)"
+
+
 def test_what_the_strokes_are_is_counted() -> None:
     states = [Freshness.FRESH, Freshness.FORCE, Freshness.STALE, Freshness.BROKEN]
     assert texts.counts_text([StrokeStatus(each) for each in states]) == "2 up to date, 1 to bake, 1 broken"
