@@ -11,9 +11,10 @@ from typing import Any
 
 from ..errors import HnfError, UsageError
 from .eval_alignment import add_parser as _add_alignment
+from .eval_tactile_map import add_parser as _add_tactile_map
 from .progress import Progress, ProgressBar
 
-SUBJECTS: tuple[Callable[[Any], object], ...] = (_add_alignment,)
+SUBJECTS: tuple[Callable[[Any], object], ...] = (_add_alignment, _add_tactile_map)
 """What else can be measured: each adds a parser that names its own runner as the default of `run`."""
 
 

@@ -65,11 +65,17 @@ def predict(
 
 
 def predict_slopes(
-    weights: MapWeights, view: LookView, sensor: str, seed: int, steps: int = DEFAULT_STEPS, guidance: float = 1.0
+    weights: MapWeights,
+    view: LookView,
+    sensor: str,
+    seed: int,
+    steps: int = DEFAULT_STEPS,
+    guidance: float = 1.0,
+    rgb_known: bool = True,
 ) -> Array:
-    """(2, 64, 64) sampled slopes ∂h/∂x, ∂h/∂y of the membrane in one view."""
+    """(2, 64, 64) sampled slopes ∂h/∂x, ∂h/∂y of the membrane in one view. rgb_known: False withholds the colours."""
     config = weights.config
-    look = look_of_view(view)
+    look = look_of_view(view, rgb_known)
     free = look_of_view(view, rgb_known=False) if guidance != 1.0 else None
     pitch, which = np.array([pitch_index_of(view.pitch_m)]), np.array([config.sensors.index(sensor)])
 

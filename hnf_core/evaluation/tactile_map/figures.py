@@ -1,0 +1,170 @@
+"""Pictures of the report: examples, excess by method, error over steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...datasets.tactile_pairs import HELD_OUT_CLASSES, PAIR_SENSORS
+from ...export.figure import write_figure
+from ..pictures import COLOURS, TRUTH
+from . import judge
+from .image_quality import rms_slope
+from .run import Example, Measured, Setup
+from .statistics import mean_interval
+from .tables import excess, of
+from .tiles import TOKEN_VIEWS, sensor_image
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Picture = NDArray[np.float64]
+
+SHOWN = (judge.DIFFUSION, judge.REGRESSION, judge.NEIGHBOUR, judge.GREY)
+COMPARED = (
+    judge.DIFFUSION, judge.REGRESSION, judge.NEIGHBOUR, judge.CLASS_MEAN, judge.MEAN, judge.GREY, judge.FLAT,
+    judge.NO_DEPTH, judge.NO_COLOUR, judge.DIGIT,
+)  # fmt: skip
+EXAMPLES = 6
+STEEP = 0.35
+"""True slopes are stretched to this RMS; guesses by the same factor, so that a level that is off shows."""
+CELL_PX, LEFT_PX, HEAD_PX = 104, 150, 92
+
+
+def draw_pictures(folder: Path, setup: Setup, measured: Measured) -> None:
+    """Three PNG files into the folder. Raises FileError where matplotlib is missing or nothing can be written."""
+    examples_picture(folder / "tactile-map-examples.png", measured.examples)
+    excess_picture(folder / "tactile-map-excess.png", measured, setup.seed)
+    steps_picture(folder / "tactile-map-steps.png", measured, setup.seed)
+
+
+def examples_picture(path: Path, examples: Sequence[Example]) -> None:
+    """Some tiles of classes never trained on, widest view and one of the finest: look, true sensor image, guesses."""
+    chosen = _spread(examples)
+    names = [judge.TRUTH, *(name for name in SHOWN if name in chosen[0].slopes)]
+    views = (0, TOKEN_VIEWS - 1)
+    across = 1 + len(names)
+    size = (LEFT_PX + CELL_PX * across * len(views) + 24, HEAD_PX + CELL_PX * len(chosen) + 10)
+
+    def draw(figure: Figure) -> None:
+        figure.text(0.015, 1.0 - 26 / size[1], "Look, true map, guesses", fontsize=14, fontweight="bold")
+        for row, example in enumerate(chosen):
+            top = HEAD_PX + CELL_PX * row
+            figure.text(10 / size[0], 1.0 - (top + CELL_PX / 2) / size[1], example.tile.order.class_name, fontsize=10)
+            for block, view in enumerate(views):
+                for column, (name, picture) in enumerate(_pictures(example, names, view)):
+                    left = LEFT_PX + CELL_PX * (block * across + column) + 14 * block
+                    place = (left / size[0], 1.0 - (top + CELL_PX - 6) / size[1])
+                    axes = figure.add_axes((*place, (CELL_PX - 6) / size[0], (CELL_PX - 6) / size[1]))
+                    axes.set_axis_off()
+                    axes.imshow(picture, interpolation="nearest")
+                    if row == 0:
+                        wide = 64e3 * example.tile.views[view].pitch_m
+                        axes.set_title(f"{wide:g} mm" if column == 0 else name, fontsize=9, loc="left")
+
+    write_figure(path, size, draw)
+
+
+def excess_picture(path: Path, measured: Measured, seed: int) -> None:
+    """Excess of every method over the floor, held-out classes, with intervals; the aim as a line."""
+    results = measured.results[HELD_OUT_CLASSES]
+    names = [name for name in COMPARED if any(name in each.errors for each in results)]
+    above = [mean_interval(excess(results, name), seed) for name in names]
+    floor = mean_interval(of(results, judge.FLOOR, "total"), seed)
+    size = (900, 96 + 34 * len(names))
+
+    def draw(figure: Figure) -> None:
+        figure.text(0.02, 1.0 - 26 / size[1], "Vibration from guessed maps, classes never trained on", fontsize=14,
+                    fontweight="bold")  # fmt: skip
+        axes = figure.add_axes((210 / size[0], 54 / size[1], (size[0] - 240) / size[0], (size[1] - 100) / size[1]))
+        place = np.arange(len(names))[::-1]
+        axes.barh(place, [each.mean for each in above], color=[_colour(name) for name in names], height=0.62)
+        spread = np.array([[each.mean - each.low, each.high - each.mean] for each in above]).T
+        axes.errorbar([each.mean for each in above], place, xerr=np.maximum(spread, 0.0), fmt="none", ecolor=TRUTH,
+                      lw=1.4, capsize=3)  # fmt: skip
+        rivals = [
+            each.mean for name, each in zip(names, above, strict=True) if name in (judge.NEIGHBOUR, judge.CLASS_MEAN)
+        ]
+        if rivals:
+            axes.axvline(0.5 * min(rivals), color=TRUTH, lw=1.0, ls="--")
+            axes.text(0.5 * min(rivals), len(names) - 0.45, " aim", fontsize=9)
+        axes.set_yticks(place, labels=names)
+        axes.set_xlabel(f"average spectrum: error above the floor of {floor.mean:.2f} dB [dB], 95 % intervals")
+
+    write_figure(path, size, draw)
+
+
+def steps_picture(path: Path, measured: Measured, seed: int) -> None:
+    """Error and time over steps; guidance beside."""
+    plain = sorted((each for each in measured.curve if each.guidance == 1.0), key=lambda each: each.steps)
+    guided = [each for each in measured.curve if each.steps == _common_steps(measured)]
+    size = (1000, 380)
+
+    def draw(figure: Figure) -> None:
+        figure.text(0.02, 1.0 - 26 / size[1], "Steps and guidance", fontsize=14, fontweight="bold")
+        error, cost, guide = (
+            figure.add_axes((left / size[0], 62 / size[1], wide / size[0], 250 / size[1]))
+            for left, wide in ((64, 350), (484, 200), (764, 200))
+        )
+        for axes, points, horizontal in ((error, plain, "steps"), (guide, guided, "guidance")):
+            _with_intervals(axes, [getattr(each, horizontal) for each in points],
+                            [of(each.results, judge.DIFFUSION, "total") for each in points], seed)  # fmt: skip
+            axes.axhline(float(of(plain[0].results, judge.FLOOR, "total").mean()), color=TRUTH, lw=1.0, ls="--")
+            axes.set_xlabel(horizontal)
+            axes.set_ylim(bottom=0.0)
+        error.set_ylabel("error [dB]; dashed: floor")
+        cost.plot([each.steps for each in plain], [each.seconds for each in plain], "o-", color=COLOURS[1], lw=1.6)
+        cost.set_ylabel("s of one core, a patch")
+        cost.set_xlabel("steps")
+        cost.set_ylim(bottom=0.0)
+        for axes in (error, cost):
+            axes.set_xscale("log")
+            axes.set_xticks([each.steps for each in plain], labels=[str(each.steps) for each in plain])
+            axes.set_xticks([], minor=True)
+
+    write_figure(path, size, draw)
+
+
+def _with_intervals(axes: Axes, across: Sequence[float], values: Sequence[Picture], seed: int) -> None:
+    found = [mean_interval(each, seed) for each in values]
+    order = np.argsort(across)
+    at, means = np.array(across)[order], np.array([found[index].mean for index in order])
+    low, high = (np.array([getattr(found[index], end) for index in order]) for end in ("low", "high"))
+    axes.fill_between(at, low, high, color=COLOURS[0], alpha=0.18, lw=0)
+    axes.plot(at, means, "o-", color=COLOURS[0], lw=1.6)
+
+
+def _common_steps(measured: Measured) -> int:
+    """The steps at which guidance was varied."""
+    return next((each.steps for each in measured.curve if each.guidance != 1.0), measured.curve[-1].steps)
+
+
+def _colour(name: str) -> str:
+    if name == judge.DIFFUSION:
+        return COLOURS[0]
+    return COLOURS[5] if name.startswith(judge.DIFFUSION) else COLOURS[1] if name == judge.REGRESSION else "#b9c0c8"
+
+
+def _spread(examples: Sequence[Example]) -> list[Example]:
+    """One of each class, as many as fit, in the order given."""
+    first: dict[str, Example] = {}
+    for each in examples:
+        first.setdefault(each.tile.order.class_name, each)
+    return list(first.values())[:EXAMPLES]
+
+
+def _pictures(example: Example, names: Sequence[str], view: int) -> list[tuple[str, Picture]]:
+    sensor = PAIR_SENSORS[0]
+    true = example.tile.slopes[view, 0]
+    gain = STEEP / max(rms_slope(true), 1e-9)
+    out = [("look", np.sqrt(example.tile.views[view].rgb.astype(np.float64)))]
+    for name in names:
+        slopes = true if name == judge.TRUTH else example.slopes[name][1][view]
+        image = sensor_image(np.asarray(gain * slopes, dtype=np.float32), sensor)
+        out.append((name.replace(", whole tile", ""), np.sqrt(np.clip(image.astype(np.float64), 0.0, 1.0))))
+    return out

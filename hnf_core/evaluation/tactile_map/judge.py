@@ -1,0 +1,148 @@
+"""Every method on every tile: the slopes it gives, the token and the spectra that follow, and how far off they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...datasets.tactile_pairs import PAIR_SENSORS
+from ...field.field import Field
+from ...material.encoders import Encoder
+from ...material.token import LEVELS
+from ...simulation.classes import category_of
+from ...tactile.optics import sensor_by_name
+from .image_quality import normal_angle_deg, psnr_db, rms_slope, ssim
+from .learned import Learned
+from .spectra import SpectrumError, log_mean, long_run_spectra, spectrum_error
+from .tiles import TOKEN_VIEWS, JudgedTile, sensor_image, token_of_slopes
+
+Float = NDArray[np.float64]
+Single = NDArray[np.float32]
+
+TRUTH, WHOLE, FLOOR = "true map", "true map, whole tile", "true map, second tile (floor)"
+DIFFUSION, REGRESSION = "D_φ", "regression U-Net"
+NO_DEPTH, NO_COLOUR = "D_φ, depth unknown", "D_φ, colour unknown"
+DIGIT = "D_φ, DIGIT"
+NEIGHBOUR, GREY, FLAT = "nearest neighbour", "grey level is height", "flat (mean map)"
+CLASS_MEAN, MEAN = "class mean", "mean of all"
+DARK = 1e-4
+"""Least own range of a sensor image: below, it is flat to the eye, and to eight bits."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One method on one view, as an image. psnr_db, ssim: with data range 1, the scale of the linear image.
+    own_psnr_db, own_ssim: with the range that the true image covers. angle_deg: mean angle between normals. level_db:
+    of the RMS slope over the true one's."""
+
+    method: str
+    sensor: str
+    pitch_m: float
+    tile: str
+    psnr_db: float
+    ssim: float
+    own_psnr_db: float
+    own_ssim: float
+    angle_deg: float
+    level_db: float
+
+
+@dataclass(frozen=True)
+class TileResult:
+    """errors: method → distance of its spectra from those of the true map in the same views. bands_db: method → (7,)
+    level of each of the token's bands over the true one's."""
+
+    tile: str
+    class_name: str
+    errors: Mapping[str, SpectrumError]
+    bands_db: Mapping[str, Float]
+
+
+Maps = Mapping[str, tuple[str, Single]]
+"""Method → (sensor, slopes (views, 2, 64, 64) of the tile's first views)."""
+
+
+def judge_spectra(field: Field, encoder: Encoder, tile: JudgedTile, maps: Maps, learned: Learned | None) -> TileResult:
+    """maps: any number of views from TOKEN_VIEWS on. learned: None leaves class mean and mean of all out."""
+    pitches = [view.pitch_m for view in tile.views[:TOKEN_VIEWS]]
+
+    def token(slopes: Single, sensor: str = PAIR_SENSORS[0]) -> Single:
+        return token_of_slopes(list(slopes[:TOKEN_VIEWS]), pitches, sensor, encoder).values
+
+    truths = {sensor: token(tile.slopes[:, index], sensor) for index, sensor in enumerate(PAIR_SENSORS)}
+    first = PAIR_SENSORS[0]
+    tokens = {TRUTH: truths[first], WHOLE: tile.whole, FLOOR: token(tile.second)}
+    against = dict.fromkeys(tokens, first)
+    for name, (sensor, slopes) in maps.items():
+        tokens[name], against[name] = token(slopes, sensor), sensor
+    wanted = [*tokens.values(), *truths.values()]
+    spectra = long_run_spectra(field, np.stack(wanted), [tile.mechanics] * len(wanted))
+    truth = dict(zip(PAIR_SENSORS, spectra[len(tokens) :], strict=True))
+    errors = {name: spectrum_error(own, truth[against[name]]) for name, own in zip(tokens, spectra, strict=False)}
+    if learned is not None:
+        for name, mean in _means(field, tile, learned).items():
+            errors[name] = spectrum_error(mean, truth[first])
+    bands = {
+        name: 20.0 * (each[LEVELS].astype(np.float64) - truths[against[name]][LEVELS]) for name, each in tokens.items()
+    }
+    return TileResult(tile.name, tile.order.class_name, errors, bands)
+
+
+def judge_pictures(tile: JudgedTile, maps: Maps) -> list[Picture]:
+    """Each method on each view that it was asked about."""
+    out = []
+    for name, (sensor, slopes) in maps.items():
+        true = tile.slopes[:, PAIR_SENSORS.index(sensor)]
+        for view, own, right in zip(tile.views, slopes, true, strict=False):
+            image, reference = sensor_image(own, sensor), sensor_image(right, sensor)
+            contrast = reference - sensor_by_name(sensor).background
+            span = max(float(contrast.max() - contrast.min()), DARK)
+            out.append(
+                Picture(
+                    name, sensor, view.pitch_m, tile.name,
+                    psnr_db(image, reference, 1.0), ssim(image, reference, 1.0),
+                    psnr_db(image, reference, span), _own_ssim(image, reference, sensor, span),
+                    normal_angle_deg(own, right),
+                    20.0 * float(np.log10(max(rms_slope(own), 1e-9) / max(rms_slope(right), 1e-9))),
+                )
+            )  # fmt: skip
+    return out
+
+
+def _own_ssim(image: Single, reference: Single, sensor: str, span: float) -> float:
+    """Without the background, which is the same in both and would pass for likeness."""
+    background = sensor_by_name(sensor).background
+    return ssim(image - background, reference - background, span)
+
+
+def _means(field: Field, tile: JudgedTile, learned: Learned) -> dict[str, Float]:
+    """Mean of log spectra over training tiles, with this tile's own mechanics: only the map is guessed. Classes count
+    alike. Class mean: of the classes of the tile's category; of all where training knows none."""
+    names = sorted(set(learned.class_name))
+    spectra = long_run_spectra(field, learned.tokens, [tile.mechanics] * len(learned.tokens))
+    of_class = {
+        name: log_mean(spectra[[row for row, own in enumerate(learned.class_name) if own == name]]) for name in names
+    }
+    same = [name for name in names if category_of(name) == tile.category]
+    return {
+        CLASS_MEAN: log_mean(np.stack([of_class[name] for name in same or names])),
+        MEAN: log_mean(np.stack(list(of_class.values()))),
+    }
+
+
+def picture_means(pictures: Sequence[Picture], method: str, sensor: str, pitch_m: float) -> dict[str, float]:
+    """Means over the views of one method, sensor and pitch; empty where there are none."""
+    rows = [
+        each for each in pictures
+        if each.method == method and each.sensor == sensor and abs(each.pitch_m / pitch_m - 1.0) < 1e-6
+    ]  # fmt: skip
+    if not rows:
+        return {}
+    numbers = ("psnr_db", "ssim", "own_psnr_db", "own_ssim", "angle_deg", "level_db")
+    return {
+        "views": float(len(rows)),
+        **{name: float(np.mean([getattr(row, name) for row in rows])) for name in numbers},
+    }

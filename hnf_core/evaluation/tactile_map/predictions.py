@@ -1,0 +1,67 @@
+"""D_φ and its regression twin, asked about judged tiles; answers are kept under the weights' hash."""
+
+from __future__ import annotations
+
+import os
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...datasets.tactile_pairs import PAIR_SENSORS
+from ...tactile.diffusion.predict import DEFAULT_STEPS, predict_slopes
+from ...tactile.diffusion.weights import MapWeights
+from ...tactile.views import LookView
+from .kept import Arrays, Kept
+from .tiles import TOKEN_VIEWS, JudgedTile
+
+Single = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """How a network is asked. views: from which of the tile's views on, and up to which. depth, colour: whether it is
+    told."""
+
+    sensor: str = PAIR_SENSORS[0]
+    steps: int = DEFAULT_STEPS
+    guidance: float = 1.0
+    depth: bool = True
+    colour: bool = True
+    views: tuple[int, int] = (0, TOKEN_VIEWS)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """slopes: (views, 2, 64, 64). seconds: of processor time, for all views."""
+
+    slopes: Single
+    seconds: float
+
+
+def predicted(weights: MapWeights, tile: JudgedTile, asked: Asked, seed: int, kept: Kept) -> Answer:
+    """Slopes of the tile's views. The noise of each is of the tile, the view and the seed."""
+
+    def one(index: int) -> Single:
+        view = shown(tile.views[index], asked.depth)
+        own = int(np.random.default_rng([seed, tile.order.tile_seed, index]).integers(2**31))
+        return predict_slopes(weights, view, asked.sensor, own, asked.steps, asked.guidance, asked.colour)
+
+    def make() -> Arrays:
+        began = time.process_time()
+        with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+            slopes = list(pool.map(one, range(*asked.views)))
+        return {
+            "slopes": np.stack(slopes).astype(np.float16),
+            "seconds": np.array([time.process_time() - began]),
+        }
+
+    arrays = kept.get(f"prediction {weights.fingerprint} {tile.order} {asked} {seed}", make)
+    return Answer(arrays["slopes"].astype(np.float32), float(arrays["seconds"][0]))
+
+
+def shown(view: LookView, depth: bool) -> LookView:
+    """The view, its depth unknown unless `depth`."""
+    return view if depth else replace(view, depth_m=np.zeros_like(view.depth_m), depth_known=False)
