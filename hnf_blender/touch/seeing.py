@@ -21,8 +21,11 @@ from ..bridge.look import Look
 from .store import Prediction
 
 SENSOR = "gelsight"
-COARSEST_WAVE_M = 2.0 * PITCHES_M[0]
-"""A picture must show waves as short as this for the widest view."""
+SHARP_WAVE_M = 2.0 * PITCHES_M[0]
+"""The shortest wave of the widest view."""
+COARSEST_WAVE_M = 1e-3
+"""A picture must show waves as short as this. It is then softer than the widest view, though not softer than D_φ knows:
+of 1 mm the blur of its training pictures (σ up to 0.6 pixels) leaves a half."""
 FLAT_M = 0.05e-3
 """RMS. Depth that varies less is no depth to D_φ: every depth that it was trained on is noisier."""
 
@@ -66,7 +69,9 @@ class Seeing:
         seen = mask & np.isfinite(look.depth_m)
         flat = not seen.any() or float(np.std(look.depth_m[seen])) < FLAT_M
         depth = None if flat else look.depth_m
-        return cut_views(look.linear, depth, mask, metres_per_pixel, look.resolved_wavelength_m)
+        resolved = look.resolved_wavelength_m
+        soft = SHARP_WAVE_M < resolved <= COARSEST_WAVE_M
+        return cut_views(look.linear, depth, mask, metres_per_pixel, SHARP_WAVE_M if soft else resolved)
 
     def predict(self, look: Look, views: tuple[LookView, ...], seed: int) -> Prediction:
         """One call of D_φ for all views of a patch, then E of each map, merged. Equal input gives equal bytes. seed: of
@@ -104,10 +109,10 @@ def predicted_maps(prediction: Prediction) -> tuple[TactileMap, ...]:
 
 def why_unread(look: Look) -> str:
     """What keeps a picture from being read, for the artist."""
-    if look.resolved_wavelength_m > COARSEST_WAVE_M * (1.0 + 1e-6):
+    if look.resolved_wavelength_m > COARSEST_WAVE_M:
         return (
             f"its picture ({look.source}) shows no wave below {look.resolved_wavelength_m * 1e3:.2g} mm, and "
-            f"{COARSEST_WAVE_M * 1e3:.2g} mm is needed to estimate relief from it; its name and look decide"
+            f"{COARSEST_WAVE_M * 1e3:g} mm is needed to estimate relief from it; its name and look decide"
         )
     return "too little of it is seen in one piece to estimate relief from its picture; its name and look decide"
 

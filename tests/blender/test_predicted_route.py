@@ -85,7 +85,16 @@ def test_a_coarse_photo_is_said_to_be_too_coarse(tmp_path) -> None:
     assert baked.routes == PRIOR
     (said,) = [text for text in baked.report.warnings if "shows no wave below 2 mm" in text]
     assert f"material '{PHOTO_PLATE}'" in said
-    assert "0.62 mm is needed" in said
+    assert "1 mm is needed" in said
+
+
+def test_a_soft_photo_tells_no_more_than_it_shows(tmp_path) -> None:
+    """Texels of 0.45 mm: waves down to 0.9 mm, all of a band down to 2 mm."""
+    photo_plate(texel=0.45e-3)
+    line_stroke("Along")
+    baked = bake_open_scene(tmp_path)
+    assert baked.routes == ["predicted"] * 3 + ["prior"] * 4
+    assert baked.strokes[0].records[0].predicted.pitch_m.tolist() == [312.5e-6]
 
 
 @pytest.mark.parametrize("where", ["stroke", "material"])

@@ -60,9 +60,26 @@ def test_the_routes_show_what_the_maps_resolve(touched) -> None:
         assert fine == ["prior"] * 4, entry["name"]
         if materials is HELMET:
             assert entry["resolved_wavelength_m"] > 1e-3
+    if materials is HELMET:
+        assert report["counts"]["diffusion_calls"] == 0  # every shader has a normal map
+
+
+def test_photos_without_relief_are_read_where_they_show_enough(touched) -> None:
+    """Two texels are 0.9 mm of wood and 0.7 mm of the label; the velvet's picture shows no wave below 2.5 mm."""
+    _, report, _, materials = touched
+    if materials is HELMET:
+        return
+    routes = {entry["material"]: set(entry["routes"].values()) for entry in report["strokes"]}
+    assert {name for name, found in routes.items() if "predicted" in found} == {"wood Brown", "label"}
+    for entry in report["strokes"]:
+        if "predicted" in routes[entry["material"]]:
+            assert [entry["routes"][band] for band in ("8 mm", "4 mm", "2 mm")] == ["predicted"] * 3
+            assert entry["height_source"].startswith("estimated from image 'SheenChair")
+            assert 0.6e-3 < entry["resolved_wavelength_m"] < 1e-3
         else:
-            assert entry["resolved_wavelength_m"] is None
-            assert entry["height_source"] == ""
+            assert (entry["height_source"], entry["resolved_wavelength_m"]) == ("", None)
+    assert 0 < report["counts"]["diffusion_calls"] < report["counts"]["renders"]
+    assert any("Velvet" in text and "shows no wave below 2.5 mm" in text for text in report["warnings"])
 
 
 def test_louder_with_speed_and_force(touched) -> None:
@@ -100,4 +117,4 @@ def test_a_second_run_does_nothing(touched) -> None:
     )
     code, report = touch(scene, out)
     assert code == 0
-    assert report["counts"] == {"renders": 0, "rays": 0, "network_calls": 0, "tokens": 0}
+    assert report["counts"] == {"renders": 0, "rays": 0, "network_calls": 0, "tokens": 0, "diffusion_calls": 0}

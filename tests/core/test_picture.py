@@ -19,6 +19,7 @@ from hnf_core.export.path_on_view import StrokeView
 from hnf_core.export.picture import linear_to_srgb, stroke_picture
 from hnf_core.export.spectra import spectrogram
 from hnf_core.signal import Signal
+from hnf_core.tactile.tactile_map import Route, TactileMap
 
 image = pytest.importorskip("matplotlib.image", reason="pictures need matplotlib")
 
@@ -104,6 +105,28 @@ def test_equal_input_gives_equal_bytes(tmp_path: Path) -> None:
             tmp_path / name, title="A", action=action(), signal=signal(), view=view(), facts={"Probe": "pen"}
         )
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+@pytest.mark.parametrize("route", [Route.MEASURED, Route.PREDICTED])
+def test_a_tactile_map_is_shown_beside_the_facts(tmp_path: Path, route: Route) -> None:
+    """Its upper half is lit from one side, its lower half from the other, faintly: the contrast is raised."""
+    half = np.where(np.arange(64)[:, None] < 32, 0.02, -0.02)
+    lit = np.broadcast_to(0.5 + half[..., None] * np.array([1.0, -1.0, 0.0]), (64, 64, 3)).astype(np.float32)
+    tactile = TactileMap(lit, None, np.ones((64, 64), bool), 312.5e-6, "gelsight", 625e-6, route)
+    for name, shown in (("without.png", None), ("with.png", tactile)):
+        stroke_picture(
+            tmp_path / name, title="A", action=action(), signal=signal(), view=view(), tactile=shown,
+            facts={"Routes": "8–1 mm " + route.value},
+        )  # fmt: skip
+    drawn = pixels(tmp_path / "with.png")
+    red, green, blue = linear_to_srgb(np.array([0.7, 0.3, 0.5]))
+    upper = np.argwhere(np.abs(drawn - [red, green, blue]).max(axis=2) < 0.02)
+    lower = np.argwhere(np.abs(drawn - [green, red, blue]).max(axis=2) < 0.02)
+    assert len(upper) == pytest.approx(160 * 80, rel=0.1)
+    assert len(lower) == pytest.approx(160 * 80, rel=0.1)
+    assert upper[:, 0].max() < lower[:, 0].min() + 3
+    blank = pixels(tmp_path / "without.png")
+    assert np.sum(np.abs(blank - [red, green, blue]).max(axis=2) < 0.02) == 0
 
 
 @settings(max_examples=8, deadline=None)
