@@ -10,6 +10,7 @@ from builders import add_plane, datablock_names
 from hnf_blender.bridge.picture_names import picture_names
 from hnf_blender.bridge.shader_values import stated_appearance
 from hnf_blender.compat import switch_nodes_on
+from hnf_blender.jobs.work import scene_session
 from hnf_blender.ops.materials import CLASSES, LIBRARY, HNF_OT_material_choose, felt_object
 from hnf_blender.rooms import switch_off, switch_on
 from hnf_blender.state.probe import Relief
@@ -256,3 +257,17 @@ def test_a_relief_that_was_seen_is_evidence_until_the_material_changes() -> None
     assert STATE.suggestions["Material"][0].name == "corduroy"
     Watch(bpy.context.scene, bpy.context.view_layer).expect("Material")
     assert STATE.reliefs == {}
+
+
+def test_what_a_picture_is_called_counts_as_what_a_stroke_follows_from(tmp_path) -> None:
+    made = textured("Material", "T_Oak_Planks_BaseColor.png")
+    plane = touched(made)
+
+    def key() -> str:
+        bpy.context.view_layer.update()
+        return scene_session(bpy.context.scene, bpy.context.view_layer, tmp_path).surface_key(plane)
+
+    before = key()
+    assert key() == before
+    bpy.data.images["T_Oak_Planks_BaseColor.png"].name = "T_Steel.png"
+    assert key() != before
