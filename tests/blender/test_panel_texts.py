@@ -46,6 +46,10 @@ def test_routes_are_said_in_an_artists_words() -> None:
         "8–2 mm: seen in the shader's relief",
         "1–0.125 mm: taken from the library",
     )
+    assert texts.routes_lines("8–0.5 mm predicted, 0.25–0.125 mm prior") == (
+        "8–0.5 mm: estimated from the picture",
+        "0.25–0.125 mm: taken from the library",
+    )
     assert texts.routes_lines("") == ()
 
 
