@@ -1,0 +1,49 @@
+"""The predicted route in a window's job: the child and its twin in line give equal bytes, and the plan tells of it."""
+
+from __future__ import annotations
+
+import shutil
+
+import bpy
+import pytest
+from job_scene import NOTHING, bake, kept
+from predicted_scene import PHOTO_PLATE, photo_plate, small_weights, use_weights
+from touch_scene import line_stroke
+
+from hnf_blender.jobs.plan_view import make_plan
+from hnf_blender.state.session import STATE
+from hnf_core.tactile.diffusion.weights import DEFAULT_WEIGHTS
+
+pytestmark = pytest.mark.usefixtures("lone_bake")
+
+
+@pytest.mark.skipif(not DEFAULT_WEIGHTS.is_file(), reason="a child process reads the weights that are shipped")
+def test_the_child_and_its_twin_in_line_give_equal_bytes(lone_bake) -> None:
+    plate = photo_plate()
+    line_stroke("Along", surface=plate)
+    assert bpy.ops.hnf.bake() == {"FINISHED"}
+    in_line = kept()
+    assert list(in_line["bakes"]) == ["Along"]
+    assert "predicted" in STATE.strokes["Along"].routes
+    assert bpy.ops.hnf.purge(what="ALL") == {"FINISHED"}
+    assert kept() == NOTHING
+    shutil.rmtree(lone_bake)
+    ended = bake()
+    assert ended.ok, ended
+    assert kept() == in_line
+
+
+def test_the_plan_tells_which_surface_is_read_and_counts_its_time(tmp_path, monkeypatch) -> None:
+    plate = photo_plate()
+    line_stroke("Along", surface=plate)
+    scene, layer = bpy.context.scene, bpy.context.view_layer
+    use_weights(monkeypatch, tmp_path / "gone.safetensors")
+    without = make_plan(scene, layer)
+    use_weights(monkeypatch, small_weights(tmp_path / "small.safetensors"))
+    plan = make_plan(scene, layer)
+    said = f"material '{PHOTO_PLATE}': it has no relief; one is estimated from its picture."
+    assert said in [line.what for line in plan.lines if line.kind == "note"]
+    assert said not in [line.what for line in without.lines]
+    assert plan.seconds == pytest.approx(without.seconds + 3.0)
+    bpy.data.objects["Along"].hnf_stroke.material = "oak-wood"
+    assert said not in [line.what for line in make_plan(scene, layer).lines]
