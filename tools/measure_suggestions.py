@@ -2,11 +2,12 @@
 
 Usage: python tools/measure_suggestions.py [--calibrate] [--json]
 
-Pieces (simulation.classes.instance, simulation.look.piece) of seeds that nothing was fitted to. Evidence: the name of a
-picture (a word of the class, a word of its category, or nothing, a third each), the look (base colour, roughness,
-metallic as the piece has them, sheen and transmission as the library has them), the token of its relief, whose height
-an artist gave another scale (a factor, log-normal, 2), and all of them. --calibrate prints the scatter of tokens within
-a class and the weights of the relief that fit best, from other seeds: what relief.py has as constants.
+Pieces of every class that nothing was fitted to: the held-out splits of tools/make_tactile_pairs.py, five a class,
+lying as they come. Evidence: the name of a picture (a word of the class, a word of its category, or nothing, a third
+each), the look (base colour, roughness, metallic as simulation.look draws a piece, sheen and transmission as the
+library has them), the token of its relief, whose height an artist gave another scale (a factor, log-normal, 2), and all
+of them. --calibrate prints the scatter of tokens within a class and the weights of the relief that fit best, from other
+seeds: what relief.py has as constants.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,7 +25,10 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "core")]
 
 from asset_names import HELD_BACK, TUNED  # noqa: E402
+from safetensors import safe_open  # noqa: E402
 
+from hnf_core.datasets.tactile_pairs import SPLITS  # noqa: E402
+from hnf_core.errors import FileError  # noqa: E402
 from hnf_core.files import write_atomically  # noqa: E402
 from hnf_core.material import relief  # noqa: E402
 from hnf_core.material.encoder import describe  # noqa: E402
@@ -38,8 +42,11 @@ from hnf_core.simulation.look.piece import piece_of  # noqa: E402
 from hnf_core.simulation.surface import TILE_PIXELS, TILE_SIZE_M, height_map  # noqa: E402
 from hnf_core.tactile.height import tactile_map_from_height  # noqa: E402
 
-CALIBRATION, MEASUREMENT = range(1, 5), range(101, 105)
-KEPT = ROOT / "build" / "suggestions"
+CALIBRATION = range(1, 5)
+"""Seeds of the pieces that the constants were fitted to; those of the pairs lie far from them."""
+KEPT, PAIRS = ROOT / "build" / "suggestions", ROOT / "build" / "tactile-pairs"
+PIECES = 5
+"""Of each class, for the measurement."""
 ARTISTS_SCALE = 0.3
 """Decades, standard deviation: nobody knows how high their bump really is."""
 COARSE_BANDS = 4
@@ -65,20 +72,42 @@ def token_of(name: str, seed: int) -> np.ndarray:
     return describe(tactile_map_from_height(height_map(recipe, seed), None, pitch, 2.0 * pitch)).values
 
 
-def pieces(seeds: Sequence[int]) -> list[Piece]:
-    """Every class, every seed; tokens are kept in build/, since a tile takes a third of a second."""
-    path = KEPT / f"tokens-{seeds[0]}-{seeds[-1]}.npy"
+def calibration_tokens() -> np.ndarray:
+    """(classes, seeds, TOKEN_DIM); kept in build/, since a tile takes a third of a second."""
+    path = KEPT / f"tokens-{CALIBRATION[0]}-{CALIBRATION[-1]}.npy"
     if not path.is_file():
-        made = np.stack([[token_of(name, seed) for seed in seeds] for name in classes()])
+        made = np.stack([[token_of(name, seed) for seed in CALIBRATION] for name in classes()])
         write_atomically(path, lambda temporary: np.save(temporary.open("wb"), made))
-    tokens = np.load(path)
+    return np.load(path)
+
+
+def held_out_tokens() -> dict[str, list[np.ndarray]]:
+    """Tokens of PIECES instances of each class, from the held-out splits. Raises FileError where they are not made."""
+    found: dict[str, dict[int, np.ndarray]] = {name: {} for name in classes()}
+    for path in sorted(path for split in SPLITS[1:] for path in (PAIRS / split).glob("*.safetensors")):
+        with safe_open(path, "np") as shard:
+            names = json.loads(shard.metadata()["class_name"])
+            rows = zip(names, *(shard.get_tensor(each) for each in ("instance_seed", "patch", "token")), strict=True)
+            for name, seed, patch, token in rows:
+                if name and patch == 0 and len(found[name]) < PIECES:
+                    found[name][int(seed)] = token
+    short = [name for name, kept in found.items() if len(kept) < PIECES]
+    if short:
+        raise FileError(
+            f"it lacks pieces of {', '.join(short[:5])}.", where=str(PAIRS), remedy="Run tools/make_tactile_pairs.py."
+        )
+    return {name: list(kept.values()) for name, kept in found.items()}
+
+
+def pieces(tokens: Mapping[str, Sequence[np.ndarray]]) -> list[Piece]:
+    """Pieces with these tokens by class, their looks and names drawn by their place, their heights scaled."""
     found = []
-    for row, name in enumerate(classes()):
-        for column, seed in enumerate(seeds):
-            rng = np.random.default_rng([seed_of(name), seed, 7])
-            values = tokens[row, column].copy()
-            values[LEVELS] += np.float32(ARTISTS_SCALE * rng.standard_normal())
-            token = Token(values, np.ones(len(values), dtype=bool))
+    for name, own in tokens.items():
+        for number, values in enumerate(own):
+            rng = np.random.default_rng([seed_of(name), number, 7])
+            scaled = np.array(values)
+            scaled[LEVELS] += np.float32(ARTISTS_SCALE * rng.standard_normal())
+            token = Token(scaled, np.ones(len(scaled), dtype=bool))
             found.append(Piece(name, _look(name, rng), _picture(name, rng), token))
     return found
 
@@ -149,8 +178,8 @@ def name_hits(names: dict[str, str]) -> dict[str, float]:
 def calibrate() -> dict[str, object]:
     """Scatter of the invariants within a class about the library's own token, and the temper and doubt under which
     the right class has the highest mean log probability, from all evidence together."""
-    found = pieces(CALIBRATION)
-    tokens = np.load(KEPT / f"tokens-{CALIBRATION[0]}-{CALIBRATION[-1]}.npy")
+    tokens = calibration_tokens()
+    found = pieces(dict(zip(classes(), tokens, strict=True)))
     typical = np.stack([find(name).token for name in classes()])
     gap = relief.invariants(tokens.reshape(-1, tokens.shape[-1])) - np.repeat(
         relief.invariants(typical), len(CALIBRATION), axis=0
@@ -179,7 +208,7 @@ def main() -> int:
     if arguments.calibrate:
         print(json.dumps(calibrate(), indent=1))
         return 0
-    found = pieces(MEASUREMENT)
+    found = pieces(held_out_tokens())
     rows = {evidence: hits(found, evidence) for evidence in EVIDENCE}
     names = {"names, tuned half": name_hits(TUNED), "names, held back": name_hits(HELD_BACK)}
     if arguments.json:
