@@ -39,7 +39,8 @@ def predict(
 
     The noise of a view is drawn from its seed alone (seed: one for all views, or one each), so that neither its
     neighbours in the batch nor their order matter, equal views give equal maps, and views that differ by rounding give
-    maps that differ as little. guidance: 1 = the plain conditional model. height is integrated from the predicted
+    maps that differ as little. The pattern is a sample, one of many that suit the look; the level starts from the
+    middle of its noise, 0, which DDIM carries to the median of the levels that suit it. guidance: 1 = the plain conditional model. height is integrated from the predicted
     slopes of the membrane (tilt and anything longer than the view is not in it). Weights of the regression baseline
     take one pass and no noise. Raises UsageError for an unknown sensor, one that the weights were not trained for, a
     view of another shape or pitch, seeds that are not as many as the views, or impossible steps.
@@ -96,7 +97,7 @@ def predict_slopes(
     else:
         rng = np.random.default_rng(seed)
         noise = rng.standard_normal((2, VIEW_PIXELS, VIEW_PIXELS), dtype=np.float32)
-        slopes, level = denoise(velocity, noise, rng.standard_normal(1, dtype=np.float32), steps)
+        slopes, level = denoise(velocity, noise, np.zeros(1, dtype=np.float32), steps)
     # The level holds the scale by definition; what the pattern lost or won on the way is error.
     rms = max(float(np.sqrt(np.mean(slopes**2))), 1e-6)
     return np.asarray(slopes * (10.0 ** (config.level_mean + config.level_scale * float(level[0])) / rms), np.float32)

@@ -63,7 +63,8 @@ def level_of(batch: Batch, config: MapConfig) -> Array:
 
 
 def sampled(network: MapNetwork, batch: Batch, seed: int, steps: int) -> tuple[Array, Array]:
-    """Slopes (n, 2, 64, 64) of unit RMS and log10 RMS (n,) that the network sees in the looks of a batch."""
+    """Slopes (n, 2, 64, 64) of unit RMS, a sample each, and the median log10 RMS (n,) that the network sees in the
+    looks of a batch: what tactile.diffusion.predict computes."""
     rng = np.random.default_rng(seed)
     config, count = network.config, len(batch)
 
@@ -80,7 +81,7 @@ def sampled(network: MapNetwork, batch: Batch, seed: int, steps: int) -> tuple[A
             slopes, level = once(np.zeros_like(batch.slopes), np.zeros_like(batch.log_rms), np.ones(count) / 2.0)
         else:
             noise = rng.standard_normal(batch.slopes.shape, dtype=np.float32)
-            slopes, level = denoise(step, noise, rng.standard_normal(count, dtype=np.float32), steps)
+            slopes, level = denoise(step, noise, np.zeros(count, dtype=np.float32), steps)
     rms = np.sqrt((slopes**2).mean(axis=(1, 2, 3), keepdims=True))
     return slopes / np.maximum(rms, 1e-6), level * config.level_scale + config.level_mean
 
