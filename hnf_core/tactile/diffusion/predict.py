@@ -40,10 +40,11 @@ def predict(
     The noise of a view is drawn from its seed alone (seed: one for all views, or one each), so that neither its
     neighbours in the batch nor their order matter, equal views give equal maps, and views that differ by rounding give
     maps that differ as little. The pattern is a sample, one of many that suit the look; the level starts from the
-    middle of its noise, 0, which DDIM carries to the median of the levels that suit it. guidance: 1 = the plain conditional model. height is integrated from the predicted
-    slopes of the membrane (tilt and anything longer than the view is not in it). Weights of the regression baseline
-    take one pass and no noise. Raises UsageError for an unknown sensor, one that the weights were not trained for, a
-    view of another shape or pitch, seeds that are not as many as the views, or impossible steps.
+    middle of its noise, 0, which DDIM carries to the median of the levels that suit it. guidance: 1 = the plain
+    conditional model. height is integrated from the predicted slopes of the membrane (tilt and anything longer than the
+    view is not in it). Weights of the regression baseline take one pass and no noise. Raises UsageError for an unknown
+    sensor, one that the weights were not trained for, a view of another shape or pitch, seeds that are not as many as
+    the views, or impossible steps.
     """
     if sensor_by_name(sensor).name not in weights.config.sensors:
         raise UsageError(
