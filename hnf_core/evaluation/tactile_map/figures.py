@@ -27,9 +27,10 @@ Picture = NDArray[np.float64]
 
 SHOWN = (judge.DIFFUSION, judge.REGRESSION, judge.NEIGHBOUR, judge.GREY)
 COMPARED = (
-    judge.DIFFUSION, judge.REGRESSION, judge.NEIGHBOUR, judge.CLASS_MEAN, judge.MEAN, judge.GREY, judge.FLAT,
+    judge.DIFFUSION, judge.REGRESSION, judge.NEIGHBOUR, judge.CLASS_MEAN, judge.MEAN, judge.GREY,
     judge.NO_DEPTH, judge.NO_COLOUR, judge.DIGIT,
 )  # fmt: skip
+SHORT = {judge.REGRESSION: "regression", judge.NEIGHBOUR: "neighbour", judge.GREY: "grey = height"}
 EXAMPLES = 6
 STEEP = 0.35
 """True slopes are stretched to this RMS; guesses by the same factor, so that a level that is off shows."""
@@ -109,7 +110,7 @@ def steps_picture(path: Path, measured: Measured, seed: int) -> None:
         figure.text(0.02, 1.0 - 26 / size[1], "Steps and guidance", fontsize=14, fontweight="bold")
         error, cost, guide = (
             figure.add_axes((left / size[0], 62 / size[1], wide / size[0], 250 / size[1]))
-            for left, wide in ((64, 350), (484, 200), (764, 200))
+            for left, wide in ((70, 350), (500, 190), (780, 190))
         )
         for axes, points, horizontal in ((error, plain, "steps"), (guide, guided, "guidance")):
             _with_intervals(axes, [getattr(each, horizontal) for each in points],
@@ -166,5 +167,5 @@ def _pictures(example: Example, names: Sequence[str], view: int) -> list[tuple[s
     for name in names:
         slopes = true if name == judge.TRUTH else example.slopes[name][1][view]
         image = sensor_image(np.asarray(gain * slopes, dtype=np.float32), sensor)
-        out.append((name.replace(", whole tile", ""), np.sqrt(np.clip(image.astype(np.float64), 0.0, 1.0))))
+        out.append((SHORT.get(name, name), np.sqrt(np.clip(image.astype(np.float64), 0.0, 1.0))))
     return out

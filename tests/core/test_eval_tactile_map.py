@@ -1,0 +1,293 @@
+"""Laws of the report on predicted tactile maps: what is perfect scores so, and what is off is off by as much."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from synthetic_pairs import synthetic_pairs
+from tactile_networks import SMALL, random_parameters
+
+from hnf_core.action.smooth import steady_action
+from hnf_core.cli.main import main
+from hnf_core.datasets import pair_tiles
+from hnf_core.datasets.pair_tiles import PairSizes, laid_tile, orders
+from hnf_core.datasets.tactile_pairs import HELD_OUT_CLASSES, HELD_OUT_INSTANCES, linear_rgb
+from hnf_core.errors import FileError, UsageError
+from hnf_core.evaluation.held_out import Known, expected
+from hnf_core.evaluation.tactile_map import judge, run, tiles
+from hnf_core.evaluation.tactile_map.image_quality import SIDE, SIGMA, normal_angle_deg, psnr_db, ssim
+from hnf_core.evaluation.tactile_map.judge import judge_pictures, judge_spectra
+from hnf_core.evaluation.tactile_map.kept import Kept
+from hnf_core.evaluation.tactile_map.learned import GREY_M, fitted_grey_m, grey_slopes, learn
+from hnf_core.evaluation.tactile_map.run import Setup, Sizes, measure
+from hnf_core.evaluation.tactile_map.spectra import long_run_spectra, spectrum_error
+from hnf_core.evaluation.tactile_map.statistics import mean_interval, ratio_interval
+from hnf_core.evaluation.tactile_map.tables import excess, extras, to_json
+from hnf_core.field.weights import load_field
+from hnf_core.material.encoders import encoder_by_name
+from hnf_core.material.library import find
+from hnf_core.material.token import ENCODER_ID
+from hnf_core.tactile.diffusion.config import REGRESSION, MapConfig
+from hnf_core.tactile.diffusion.weights import load_map_weights, save_map_weights
+from hnf_core.tactile.views import LookView
+from hnf_core.training.conditions import middle_conditions, speed_grid
+
+pytestmark = pytest.mark.filterwarnings("error")
+SEED = st.integers(0, 2**31)
+ENCODER = encoder_by_name(ENCODER_ID)
+SIZES = Sizes(
+    tiles=1, varied=1, all_pitches=1, curve=1, steps=2, curve_steps=(1, 2), guidance=(1.0, 2.0), made=2
+)  # fmt: skip
+
+
+def picture(seed: int, *shape: int) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(size=shape)
+
+
+@given(SEED, st.floats(1e-3, 0.5), st.floats(0.5, 300.0))
+def test_psnr_of_a_constant_difference(seed: int, difference: float, data_range: float) -> None:
+    image = picture(seed, 8, 9, 3)
+    assert psnr_db(image, image, data_range) == np.inf
+    assert psnr_db(image + difference, image, data_range) == pytest.approx(20.0 * np.log10(data_range / difference))
+
+
+@given(SEED)
+@settings(max_examples=20)
+def test_similarity_is_one_of_equals_less_of_others_and_symmetric(seed: int) -> None:
+    one, other = picture(seed, 16, 14), picture(seed + 1, 16, 14)
+    assert ssim(one, one, 1.0) == pytest.approx(1.0)
+    assert ssim(one, other, 1.0) == pytest.approx(ssim(other, one, 1.0))
+    assert ssim(one, other, 1.0) < 0.9
+
+
+def test_similarity_of_constants_by_hand() -> None:
+    """No variance: only the luminance term is left, with C1 = (0.01 · 255)² = 6.5025."""
+    one, other = np.full((12, 12), 100.0), np.full((12, 12), 120.0)
+    assert ssim(one, other, 255.0) == pytest.approx((2 * 100 * 120 + 6.5025) / (100**2 + 120**2 + 6.5025), abs=1e-9)
+
+
+def test_similarity_is_what_the_published_formula_says() -> None:
+    """Equation 13 written out, window by window, in loops."""
+    one, other = 255.0 * picture(1, 13, 12), 255.0 * picture(2, 13, 12)
+    place = np.arange(SIDE) - 5
+    weight = np.exp(-(place[:, None] ** 2 + place[None, :] ** 2) / (2 * SIGMA**2))
+    weight /= weight.sum()
+    values = []
+    for row in range(3):
+        for column in range(2):
+            x, y = (each[row : row + SIDE, column : column + SIDE] for each in (one, other))
+            mx, my = (weight * x).sum(), (weight * y).sum()
+            vx, vy, cov = ((weight * a * b).sum() for a, b in ((x - mx, x - mx), (y - my, y - my), (x - mx, y - my)))
+            values.append((2 * mx * my + 6.5025) * (2 * cov + 58.5225)
+                          / ((mx**2 + my**2 + 6.5025) * (vx + vy + 58.5225)))  # fmt: skip
+    assert ssim(one, other, 255.0) == pytest.approx(np.mean(values), rel=1e-9)
+    coloured = [np.stack([each, each], axis=-1) for each in (one, other)]
+    assert ssim(*coloured, 255.0) == pytest.approx(np.mean(values), rel=1e-9)
+
+
+def test_pictures_that_cannot_be_compared_are_refused() -> None:
+    for call in (lambda: psnr_db(np.zeros((3, 3)), np.zeros((3, 4)), 1.0), lambda: ssim(np.zeros((5, 5)),
+                 np.zeros((5, 5)), 1.0), lambda: psnr_db(np.zeros((3, 3)), np.zeros((3, 3)), 0.0)):  # fmt: skip
+        with pytest.raises(UsageError):
+            call()
+
+
+@given(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5))
+def test_angles_between_normals(gx: float, gy: float) -> None:
+    slopes = np.broadcast_to(np.array([gx, gy])[:, None, None], (2, 4, 4))
+    assert normal_angle_deg(slopes, slopes) == 0.0
+    tilt = np.degrees(np.arctan(np.hypot(gx, gy)))
+    assert normal_angle_deg(slopes, np.zeros((2, 4, 4))) == pytest.approx(tilt, abs=1e-9)
+    assert normal_angle_deg(slopes, -slopes) == pytest.approx(2.0 * tilt, abs=1e-9)
+
+
+@given(SEED, st.floats(-20.0, 20.0))
+@settings(max_examples=20)
+def test_a_gain_is_all_level_and_nothing_shape(seed: int, gain_db: float) -> None:
+    spectra = np.exp(np.random.default_rng(seed).normal(0.0, 1.0, (6, 100)))
+    error = spectrum_error(spectra * 10.0 ** (gain_db / 10.0), spectra)
+    assert error.bias == pytest.approx(gain_db, abs=1e-9)
+    assert (error.total, error.level) == (pytest.approx(abs(gain_db)), pytest.approx(abs(gain_db)))
+    assert error.shape == pytest.approx(0.0, abs=1e-6)
+    other = spectrum_error(
+        spectra[:1] * np.exp(np.random.default_rng(seed + 1).normal(0.2, 1.0, (1, 100))), spectra[:1]
+    )
+    assert other.total**2 == pytest.approx(other.level**2 + other.shape**2)
+
+
+def test_spectra_are_those_of_whole_steady_strokes() -> None:
+    """The batch by states beside evaluation.held_out.expected, which walks through an action and its start."""
+    field, one = load_field(), find("denim")
+    batch = long_run_spectra(field, np.stack([one.token, find("cork").token]), [one.mechanics, find("cork").mechanics])
+    for number, each in enumerate(middle_conditions()):
+        action = steady_action(2.0, float(speed_grid()[each.speed]), each.force, each.angle)
+        known = Known("denim", "fabric", one.token, one.mechanics, np.ones(501))
+        np.testing.assert_allclose(batch[0, number], expected(field, known, action), rtol=2e-3)
+
+
+@pytest.fixture(scope="module")
+def tile() -> tiles.JudgedTile:
+    first, second = orders(HELD_OUT_CLASSES, PairSizes(), 0)[:2]
+    return tiles.judged_tile(first, second, Kept(None))
+
+
+def test_perfect_is_zero_and_the_second_tile_is_the_floor(tile) -> None:
+    maps = {"perfect": ("gelsight", tile.slopes[:, 0]), "perfect DIGIT": ("digit", tile.slopes[:, 1])}
+    result = judge_spectra(load_field(), ENCODER, tile, maps, None)
+    for name in maps:
+        assert result.errors[name].total == pytest.approx(0.0, abs=1e-6)
+        np.testing.assert_allclose(result.bands_db[name], 0.0, atol=1e-5)
+    assert excess([result], judge.FLOOR) == [0.0]
+    assert result.errors[judge.FLOOR].total > 0.1
+    assert all(each.angle_deg == 0.0 and each.ssim == pytest.approx(1.0) for each in judge_pictures(tile, maps))
+
+
+def test_twice_as_high_is_six_decibels_in_every_band(tile) -> None:
+    maps = {"doubled": ("gelsight", 2.0 * tile.slopes[:, 0])}
+    result = judge_spectra(load_field(), ENCODER, tile, maps, None)
+    np.testing.assert_allclose(result.bands_db["doubled"], 20.0 * np.log10(2.0), atol=0.1)
+    assert 3.0 < result.errors["doubled"].bias < 8.0
+    assert all(each.level_db == pytest.approx(20.0 * np.log10(2.0), abs=1e-3) for each in judge_pictures(tile, maps))
+
+
+def test_blurred_loses_short_waves_and_keeps_long_ones(tile) -> None:
+    blurred = tile.slopes[:, 0].copy()
+    frequency = np.hypot(np.fft.fftfreq(64)[:, None], np.fft.rfftfreq(64)[None, :])
+    near = blurred[1 : tiles.TOKEN_VIEWS]
+    keep = np.exp(-0.5 * (frequency / 0.1) ** 2)
+    blurred[1 : tiles.TOKEN_VIEWS] = np.fft.irfft2(np.fft.rfft2(near) * keep, s=(64, 64))
+    bands = judge_spectra(load_field(), ENCODER, tile, {"blurred": ("gelsight", blurred)}, None).bands_db["blurred"]
+    assert (np.diff(bands[3:]) < 0.0).all()
+    assert bands[-1] < -12.0
+    np.testing.assert_allclose(bands[:3], 0.0, atol=1e-6)
+
+
+def test_a_flat_map_is_far_too_quiet(tile) -> None:
+    result = judge_spectra(load_field(), ENCODER, tile, {"flat": ("gelsight", 0.0 * tile.slopes[:, 0])}, None)
+    assert result.errors["flat"].bias < -20.0
+
+
+def test_looks_and_slopes_of_a_tile_show_the_same_place(monkeypatch) -> None:
+    """Where the photograph is the height itself, its gradient in every view is the true slope of that view."""
+    monkeypatch.setattr(pair_tiles, "NOISE", (0.0, 0.0))
+    monkeypatch.setattr(pair_tiles, "BLUR_PIXELS", (0.0, 0.0))
+    order = orders(HELD_OUT_CLASSES, PairSizes(), 0)[0]
+    laid = laid_tile(order)
+    grey = (laid.height - laid.height.min()) / np.ptp(laid.height)
+    views = tiles._looked_at(replace(laid, photograph=np.stack([grey] * 3)), order)
+    pitches = [view.pitch_m for view in views]
+    assert pitches[0] == max(pitches)
+    assert (len(set(pitches)), len(pitches)) == (4, 7)
+    for view, slopes in zip(views, tiles._true(laid, 0), strict=True):
+        down, across = np.gradient(view.rgb[..., 0].astype(float))
+        for seen, true in ((across, slopes[0]), (-down, slopes[1])):
+            assert np.corrcoef(seen[2:-2, 2:-2].ravel(), true[2:-2, 2:-2].ravel())[0, 1] > 0.8
+
+
+def test_the_nearest_neighbour_of_a_training_view_is_itself() -> None:
+    pairs = synthetic_pairs(16, 3)
+    rows = (5, 10)
+    queries = [
+        LookView(linear_rgb(pairs.rgb[row]), pairs.depth[row].astype(np.float32) * np.float32(pairs.pitch_m[row]), True,
+                 float(pairs.pitch_m[row]))
+        for row in rows
+    ]  # fmt: skip
+    found = learn([synthetic_pairs(16, 4), pairs], queries)
+    np.testing.assert_array_equal(found.neighbours, pairs.slopes[list(rows), 0].astype(np.float32))
+    assert found.views == 32
+    assert set(found.class_name) == {"wood"}
+    with pytest.raises(FileError):
+        learn([], queries)
+
+
+def test_grey_as_height_finds_its_scale() -> None:
+    """Pairs whose slopes are those of their own grey, 3 times as high as assumed."""
+    pairs = synthetic_pairs(4, 5)
+    slopes = np.array(pairs.slopes)
+    for row in range(4):
+        view = LookView(linear_rgb(pairs.rgb[row]), np.zeros((64, 64), np.float32), False, float(pairs.pitch_m[row]))
+        slopes[row, 0] = grey_slopes(view, 3.0 * GREY_M)
+    assert fitted_grey_m(replace(pairs, slopes=slopes)) == pytest.approx(3.0 * GREY_M, rel=0.02)
+
+
+@given(SEED)
+@settings(max_examples=20)
+def test_intervals_hold_their_mean_and_equal_methods_are_level(seed: int) -> None:
+    values = np.random.default_rng(seed).uniform(1.0, 3.0, 30)
+    found = mean_interval(values, 1)
+    assert found.low < found.mean < found.high
+    assert ratio_interval(values, values, 1).words() == "1.00 (1.00 … 1.00)"
+    half = ratio_interval(0.5 * values, values, 1)
+    assert (half.low, half.mean, half.high) == pytest.approx((0.5, 0.5, 0.5))
+
+
+def test_what_is_kept_is_made_once_and_damage_is_told(tmp_path) -> None:
+    made: list[int] = []
+
+    def make() -> dict[str, np.ndarray]:
+        made.append(1)
+        return {"values": np.arange(3.0)}
+
+    for _ in range(2):
+        np.testing.assert_array_equal(Kept(tmp_path).get("name", make)["values"], [0.0, 1.0, 2.0])
+    assert made == [1]
+    next(tmp_path.iterdir()).write_bytes(b"not a file of arrays")
+    with pytest.raises(FileError, match="cannot be read"):
+        Kept(tmp_path).get("name", make)
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("weights")
+    for name, more in (("diffusion", {}), ("regression", {"objective": REGRESSION})):
+        config = MapConfig(**SMALL, **more)
+        save_map_weights(folder / f"{name}.safetensors", config, random_parameters(config), {})
+    return folder
+
+
+def hnf(*words: object) -> int:
+    return main([str(word) for word in words], lambda arguments: 1)
+
+
+def test_the_whole_report(weights, tmp_path, monkeypatch, capsys) -> None:
+    """Through the command line, in small: every table, JSON, pictures; and again from what was kept, to the byte."""
+    pytest.importorskip("matplotlib", reason="draws pictures")
+    monkeypatch.setattr(run, "QUICK", SIZES)
+    command = ("eval", "tactile-map", "--quick", "--weights", weights / "diffusion.safetensors", "--regression",
+               weights / "regression.safetensors", "--cache", weights / "kept", "--json")  # fmt: skip
+    assert hnf(*command, "--pictures", tmp_path) == 0
+    told = capsys.readouterr().out
+    record = json.loads(told)
+    found = record["tables"][f"vibration, {HELD_OUT_CLASSES}"]
+    assert set(found) >= {judge.DIFFUSION, judge.REGRESSION, judge.NEIGHBOUR, judge.CLASS_MEAN, judge.NO_DEPTH}
+    assert found[judge.TRUTH]["total_db"] == [0.0, 0.0, 0.0]
+    assert found[judge.FLOOR]["excess_db"] == [0.0, 0.0, 0.0]
+    assert [(each["steps"], each["guidance"]) for each in record["tables"]["steps"]["points"]] == [
+        (1, 1),
+        (2, 1),
+        (2, 2),
+    ]
+    assert len(record["tiles"][HELD_OUT_INSTANCES]) == 1
+    assert {path.name for path in tmp_path.glob("*.png")} == {
+        "tactile-map-examples.png", "tactile-map-excess.png", "tactile-map-steps.png",
+    }  # fmt: skip
+    assert hnf(*command) == 0
+    assert capsys.readouterr().out == told
+
+
+def test_weights_in_the_wrong_place_are_refused(weights, capsys) -> None:
+    assert hnf("eval", "tactile-map", "--quick", "--weights", weights / "regression.safetensors") == 2
+    assert "regression network" in capsys.readouterr().err
+
+
+def test_without_a_regression_there_is_no_row_of_it(weights) -> None:
+    sizes = replace(SIZES, varied=0, all_pitches=0, steps=1, curve_steps=(1,), guidance=(1.0,))
+    setup = Setup(load_map_weights(weights / "diffusion.safetensors"), sizes=sizes, cache=weights / "kept")
+    measured = measure(setup)
+    assert all(judge.REGRESSION not in json.dumps(extra.rows) for extra in extras(setup, measured))
+    assert to_json(setup, measured)["regression"] is None
