@@ -18,7 +18,6 @@ from hnf_core.tactile.optics import SENSORS, gel_gradients, shade  # noqa: E402
 from hnf_core.training.alignment.batches import (  # noqa: E402
     LOOK_MEAN,
     LOOK_SCALE,
-    TOUCH_FLOOR,
     TOUCH_SCALE,
     training_batch,
 )
@@ -49,7 +48,7 @@ def test_a_pressed_sensor_is_the_optics_less_the_untouched_picture(name: str) ->
     assert noise.std() == pytest.approx(NOISE, rel=0.05)
     assert abs(noise.mean()) < NOISE / 20
     other = pressed(slopes, SENSORS[name], 0, np.random.default_rng(8))
-    assert (other - shown).std() > 2 * NOISE  # noise alone: √2
+    assert (other - shown).std() > 10 * NOISE
 
 
 def test_no_place_is_touched_by_both_sensors_and_each_class_by_both() -> None:
@@ -82,6 +81,7 @@ class Marked:
     """Pictures whose every pixel says where it comes from, the same for look and touch."""
 
     turns = 8
+    floor = 0.02
     mark = np.arange(64 * 64, dtype=np.float32).reshape(64, 64)
 
     def rgb(self, rows: np.ndarray, turn: np.ndarray) -> np.ndarray:
@@ -101,7 +101,7 @@ def test_look_and_touch_are_turned_and_cut_alike() -> None:
     assert batch.vision.shape == batch.touch.shape == (16, 3, 40, 40)
     assert batch.vision.is_contiguous(memory_format=torch.channels_last)
     looks = batch.vision[:, 0].numpy() * LOOK_SCALE + LOOK_MEAN
-    marks = np.sinh(batch.touch[:, 0].numpy().astype(np.float64) * TOUCH_SCALE) * TOUCH_FLOOR
+    marks = np.sinh(batch.touch[:, 0].numpy().astype(np.float64) * TOUCH_SCALE) * Marked.floor
     seen = set()
     for look, mark in zip(looks, marks, strict=True):
         gain = look.sum() / mark.sum()

@@ -15,8 +15,6 @@ Float32 = NDArray[np.float32]
 Rows = NDArray[np.int64]
 
 LOOK_MEAN, LOOK_SCALE = 0.45, 0.25
-TOUCH_FLOOR = 0.02
-"""Below this a touch picture enters linearly, above it as a logarithm: silk and gravel differ by 100 in contrast."""
 TOUCH_SCALE = 1.5
 GAIN = 0.2
 """A look is made darker or brighter by up to exp(± this)."""
@@ -39,7 +37,9 @@ def training_batch(tuples: Tuples, chosen: Rows, pixels: int, rng: np.random.Gen
     look *= np.exp(rng.uniform(-GAIN, GAIN, (count, 1, 1, 1))).astype(np.float32)
     touch = tuples.pictures.touch(rows, tuples.sensor[chosen], turn, rng)
     corner = rng.integers(look.shape[1] - pixels + 1, size=(count, 2))
-    return Batch(look_tensor(_cut(look, corner, pixels)), touch_tensor(_cut(touch, corner, pixels)))
+    return Batch(
+        look_tensor(_cut(look, corner, pixels)), touch_tensor(_cut(touch, corner, pixels), tuples.pictures.floor)
+    )
 
 
 def look_tensor(looks: Float32) -> Tensor:
@@ -47,9 +47,9 @@ def look_tensor(looks: Float32) -> Tensor:
     return _tensor((looks - LOOK_MEAN) / LOOK_SCALE)
 
 
-def touch_tensor(touches: Float32) -> Tensor:
+def touch_tensor(touches: Float32, floor: float) -> Tensor:
     """(k, P, P, 3) linear, background taken off → (k, 3, P, P)."""
-    return _tensor(np.arcsinh(touches / TOUCH_FLOOR) / TOUCH_SCALE)
+    return _tensor(np.arcsinh(touches / floor) / TOUCH_SCALE)
 
 
 def _cut(pictures: Float32, corner: Rows, pixels: int) -> Float32:

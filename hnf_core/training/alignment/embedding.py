@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import torch
@@ -36,7 +37,7 @@ def embed_touches(encoder: Encoder, tuples: Tuples, pixels: int, seed: int) -> F
         rng = np.random.default_rng([seed, rows.start])
         return tuples.pictures.touch(tuples.row[rows], tuples.sensor[rows], upright, rng)
 
-    return _embedded(encoder, len(tuples), pixels, pictures, touch_tensor)
+    return _embedded(encoder, len(tuples), pixels, pictures, partial(touch_tensor, floor=tuples.pictures.floor))
 
 
 def _embedded(
