@@ -84,7 +84,7 @@ def _draw_view(
     """The view as large as fits in the left column, its colour bar, and the facts and tactile map below. Returns where
     they end."""
     left, top, width, line = LEFT, 0.915, 0.475, 0.025
-    letters = 82 if tactile is None else 66
+    letters = 82 if tactile is None else 56
     rows = [(label, row) for label, text in lines for row in textwrap.wrap(text, letters)[:2] or [""]]
     below = max(line * len(rows), 0.0 if tactile is None else MAP_SIDE * SIZE_PX[0] / SIZE_PX[1] + 2 * line)
     bottom = top
