@@ -28,7 +28,7 @@ class HNF_OT_probe(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # b
         "Click on a surface: its tactile map, roughness, friction and the materials nearest to it are told below. "
         "Nothing in the file changes; ESC gives up"
     )
-    bl_options = {"INTERNAL"}  # noqa: RUF012  # Blender wants a set
+    bl_options = frozenset[str]()  # neither redone nor undone: it changes nothing
 
     surface: bpy.props.StringProperty(
         name="Surface", description="Object that is looked at; empty: click on one", options={"SKIP_SAVE"}

@@ -21,7 +21,6 @@ LARGEST = 9.0
 class HNF_PT_probe(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801  # bpy has no types
     bl_label = "One Place"
     bl_parent_id = "HNF_PT_materials"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012  # Blender reads a set
 
     def draw(self, context: Any) -> None:
         layout, view = self.layout, STATE.probe
