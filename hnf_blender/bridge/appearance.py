@@ -54,7 +54,8 @@ def read_shader(tapper: Tapper) -> ShaderReading:
     if output is None:
         return ShaderReading(None, MicroGeometry(), ("its node tree has no Material Output.",))
     notes: list[str] = []
-    layers = _layers(tapper.graph.resolve(output.inputs["Surface"]), tapper, notes)
+    surface = tapper.graph.resolve(output.inputs["Surface"])
+    layers = _layers(surface, tapper, notes, BSDFS) or _layers(surface, tapper, notes, GLOWING)
     displacement = from_displacement(output.inputs["Displacement"], tapper, notes)
     return ShaderReading(layers, displacement, tuple(dict.fromkeys(notes)))
 
@@ -117,7 +118,8 @@ _PRINCIPLED = {
 }  # fmt: skip
 _COLOUR = {"base_color": ("Color", "COLOR")}
 _ROUGH = {**_COLOUR, "roughness": ("Roughness", "VALUE")}
-BSDFS: dict[str, tuple[dict[str, tuple[str, str]], dict[str, float]]] = {
+Closures = Mapping[str, tuple[Mapping[str, tuple[str, str]], Mapping[str, float]]]
+BSDFS: Closures = {
     "ShaderNodeBsdfPrincipled": (_PRINCIPLED, {}),
     "ShaderNodeBsdfDiffuse": (_COLOUR, {"roughness": 1.0, "metallic": 0.0, "sheen": 0.0, "transmission": 0.0}),
     "ShaderNodeBsdfAnisotropic": (_ROUGH, {"metallic": 1.0, "sheen": 0.0, "transmission": 0.0}),
@@ -137,23 +139,25 @@ BSDFS: dict[str, tuple[dict[str, tuple[str, str]], dict[str, float]]] = {
     "ShaderNodeEeveeSpecular": ({"base_color": ("Base Color", "COLOR"), "roughness": ("Roughness", "VALUE")}, {}),
 }
 """Tapped inputs and known values of every BSDF node."""
+GLOWING: Closures = {"ShaderNodeEmission": (_COLOUR, {}), "ShaderNodeBackground": (_COLOUR, {})}
+"""Read where a surface has no BSDF at all: a scan is often saved as its own light, so that none is needed."""
 
 
-def _layers(socket: Any, tapper: Tapper, notes: list[str]) -> Layers | None:
-    """Layers of a shader socket (already resolved); None where it is no surface (transparent, emission, nothing)."""
+def _layers(socket: Any, tapper: Tapper, notes: list[str], closures: Closures) -> Layers | None:
+    """Layers of a shader socket (already resolved), of such closures; None where it has none of them."""
     if not socket.is_output or socket.node.mute:
         return None
     node, graph = socket.node, tapper.graph
     if node.bl_idname in {"ShaderNodeMixShader", "ShaderNodeAddShader"}:
         sides = [entry for entry in node.inputs if entry.type == "SHADER"]
-        first, second = (_layers(graph.resolve(side), tapper, notes) for side in sides)
+        first, second = (_layers(graph.resolve(side), tapper, notes, closures) for side in sides)
         if first is None or second is None:  # cut-outs and glow are not felt
             return second if first is None else first
         factor = tapper.input(node.inputs[0], "VALUE") if node.bl_idname == "ShaderNodeMixShader" else Constant(0.5)
         return Blend(factor, first, second)
-    if node.bl_idname not in BSDFS:
+    if node.bl_idname not in closures:
         return None
-    inputs, known = BSDFS[node.bl_idname]
+    inputs, known = closures[node.bl_idname]
     shading: dict[str, Quantity] = {name: Constant(value) for name, value in known.items()}
     for name, (socket_name, kind) in inputs.items():
         entry = node.inputs.get(socket_name)

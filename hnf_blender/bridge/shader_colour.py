@@ -8,7 +8,7 @@ from enum import Enum
 from typing import Any
 
 from .. import compat
-from .appearance import BSDFS
+from .appearance import BSDFS, GLOWING, Closures
 from .node_graph import NodeGraph
 from .shader_height import displaces, normal_chain
 from .taps import Tapper
@@ -77,22 +77,27 @@ def colour_sources(tapper: Tapper) -> ColourSources | None:
 def colour_sockets(graph: NodeGraph) -> list[Any]:
     """Colour inputs of the surface's closures, and the factors that mix them."""
     closures, factors = _surface(graph)
-    names = [BSDFS[node.bl_idname][0]["base_color"][0] for node in closures]
+    names = [({**BSDFS, **GLOWING})[node.bl_idname][0]["base_color"][0] for node in closures]
     return [node.inputs[name] for node, name in zip(closures, names, strict=True) if name in node.inputs] + factors
 
 
 def _surface(graph: NodeGraph) -> tuple[list[Any], list[Any]]:
-    """BSDF nodes of the surface, and the factor sockets of Mix Shaders that have one on either side."""
-    return ([], []) if graph.output is None else _behind(graph, graph.output.inputs["Surface"])
+    """BSDF nodes of the surface (glowing ones where there is none), and the factor sockets of Mix Shaders that have one
+    on either side."""
+    if graph.output is None:
+        return [], []
+    socket = graph.output.inputs["Surface"]
+    found = _behind(graph, socket, BSDFS)
+    return found if found[0] else _behind(graph, socket, GLOWING)
 
 
-def _behind(graph: NodeGraph, socket: Any) -> tuple[list[Any], list[Any]]:
+def _behind(graph: NodeGraph, socket: Any, kinds: Closures) -> tuple[list[Any], list[Any]]:
     node = graph.source_node(socket)
     if node is None:
         return [], []
     if node.bl_idname not in {"ShaderNodeMixShader", "ShaderNodeAddShader"}:
-        return ([node] if node.bl_idname in BSDFS else []), []
-    (first, one), (second, other) = (_behind(graph, side) for side in node.inputs if side.type == "SHADER")
+        return ([node] if node.bl_idname in kinds else []), []
+    (first, one), (second, other) = (_behind(graph, side, kinds) for side in node.inputs if side.type == "SHADER")
     mixes = first and second and node.bl_idname == "ShaderNodeMixShader"
     return first + second, one + other + ([node.inputs[0]] if mixes else [])
 

@@ -43,6 +43,7 @@ def collect() -> tuple[tuple[str, str], ...]:
         *((package, _version_of(package)) for package in PACKAGES),
         ("Field", _field_identity()),
         ("Encoder", ENCODER_ID),
+        ("Weights for pictures", _map_weights()),
         ("Blender file", bpy.data.filepath or "not saved"),
         ("Blender program", bpy.app.binary_path or sys.executable),
         ("Add-on folder", str(Path(__file__).resolve().parents[1])),
@@ -102,6 +103,15 @@ def _field_identity() -> str:
 
     try:
         return load_field().identity
+    except (HnfError, ImportError) as error:
+        return str(error)
+
+
+def _map_weights() -> str:
+    from ..touch.seeing import Seeing
+
+    try:
+        return Seeing().weights_hash or "not there"
     except (HnfError, ImportError) as error:
         return str(error)
 

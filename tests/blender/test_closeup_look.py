@@ -127,6 +127,30 @@ def test_a_mask_between_two_colours_is_a_picture(mixed_by):
     assert look(plane).look.resolved_wavelength_m > 0.0
 
 
+def test_a_scan_saved_as_its_own_light_is_a_picture():
+    """As glTF's unlit materials come in: emission where the camera looks, transparent elsewhere."""
+    plane = photo_plate_of_light()
+    close = look(plane)
+    assert shows(plane.data.materials[0]) is Shows.PICTURE
+    assert close.look.source == "image 'Photo.png'"
+    assert close.appearance.base_color == pytest.approx(checks().mean(axis=(0, 1)), abs=0.03)
+    assert close.appearance.roughness is None
+
+
+def photo_plate_of_light():
+    plane = photo_plane(checks())
+    tree = plane.data.materials[0].node_tree
+    texture = next(n for n in tree.nodes if n.bl_idname == "ShaderNodeTexImage")
+    mix, glow = tree.nodes.new("ShaderNodeMixShader"), tree.nodes.new("ShaderNodeEmission")
+    path, clear = tree.nodes.new("ShaderNodeLightPath"), tree.nodes.new("ShaderNodeBsdfTransparent")
+    tree.links.new(texture.outputs["Color"], glow.inputs["Color"])
+    tree.links.new(path.outputs["Is Camera Ray"], mix.inputs[0])
+    tree.links.new(clear.outputs[0], mix.inputs[1])
+    tree.links.new(glow.outputs[0], mix.inputs[2])
+    tree.links.new(mix.outputs[0], tree.get_output_node("CYCLES").inputs["Surface"])
+    return plane
+
+
 def test_an_image_in_a_group_is_found_without_a_copy():
     plane = photo_plane(checks())
     material = plane.data.materials[0]
