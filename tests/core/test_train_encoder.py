@@ -24,7 +24,7 @@ from hnf_core.tactile.optics import SENSORS, gel_gradients
 from hnf_core.tactile.views import PITCHES_M
 
 torch = pytest.importorskip("torch", reason="training needs the extra [train]")
-from hnf_core.training.encoder.batches import faint_levels_raised, make_batch, scattered_lamps, turned  # noqa: E402
+from hnf_core.training.encoder.batches import faint_levels_raised, make_batch, rotated, scattered_lamps, turned  # noqa: E402
 from hnf_core.training.encoder.fit import Schedule, fit  # noqa: E402
 from hnf_core.training.encoder.judge import errors_of, judge  # noqa: E402
 
@@ -159,6 +159,51 @@ def test_a_turned_surface_has_the_turned_token(seed, way):
         np.array(gel_gradients(moved, PITCH, SENSORS["gelsight"]))[:, middle, middle],
         atol=2e-3,
     )
+
+
+def smooth_tile(waves: list[tuple[int, int, float]]) -> tuple[np.ndarray, np.ndarray]:
+    """Slopes (2, 64, 64) of waves (periods along +x, along +y, phase), and their sampler at any place in pixels."""
+    middle = (np.arange(64) - 31.5) * (2 * np.pi / 64)
+
+    def at(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        phases = [kx * x + ky * y + p for kx, ky, p in waves]
+        return np.stack(
+            [sum(k[axis] * np.cos(phase) for k, phase in zip(waves, phases, strict=True)) for axis in (0, 1)]
+        )
+
+    x, y = np.meshgrid(middle, -middle)
+    return at(x, y), at
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 2**16), st.floats(-0.78, 0.78))
+def test_a_rotated_tile_is_the_pattern_read_in_a_turned_frame(seed, angle):
+    rng = np.random.default_rng(seed)
+    waves = [(*(int(k) for k in rng.integers(-14, 15, 2)), float(rng.uniform(0, 6))) for _ in range(3)]
+    slopes, at = smooth_tile(waves)
+    token = rng.uniform(-0.5, 0.5, (1, TOKEN_DIM))
+    got, turned_token = rotated(slopes[None].astype(np.float32), token, np.array([angle]))
+    middle = (np.arange(64) - 31.5) * (2 * np.pi / 64)
+    x, y = np.meshgrid(middle, -middle)
+    c, s = np.cos(angle), np.sin(angle)
+    gx, gy = at(c * x + s * y, -s * x + c * y)
+    expected = np.stack([c * gx - s * gy, s * gx + c * gy])
+    np.testing.assert_allclose(got[0], expected, atol=0.02 * np.abs(expected).max() + 1e-6)
+    # A wave at angle θ has cos 2θ, sin 2θ: after the turn, those of θ + angle; lengths and levels stay.
+    bands, after = (each[0, :-2].reshape(7, 7) for each in (token, turned_token))
+    np.testing.assert_allclose(after[:, [0, 5, 6]], bands[:, [0, 5, 6]])
+    for fold, first in ((2, 1), (4, 3)):
+        before, now = (each[:, first] + 1j * each[:, first + 1] for each in (bands, after))
+        np.testing.assert_allclose(now, before * np.exp(1j * fold * angle), atol=1e-9)
+
+
+def test_a_quarter_turn_is_a_rotation_by_a_right_angle():
+    slopes, _ = smooth_tile([(3, 5, 0.3), (-7, 2, 1.0)])
+    token = np.random.default_rng(0).uniform(-0.5, 0.5, (1, TOKEN_DIM))
+    by_quarter = turned(slopes[None].astype(np.float32), token, np.array([1]))
+    by_angle = rotated(slopes[None].astype(np.float32), token, np.array([np.pi / 2]))
+    np.testing.assert_allclose(by_quarter[0], by_angle[0], atol=1e-3 * np.abs(slopes).max())
+    np.testing.assert_allclose(by_quarter[1], by_angle[1], atol=1e-9)
 
 
 def test_a_batch_depends_on_its_seed_alone_and_is_of_order_one():

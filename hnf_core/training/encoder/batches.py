@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.nn import functional
 
 from ...datasets.tactile_pairs import PAIR_SENSORS, Pairs
 from ...material.alexnet.network import (
@@ -33,6 +34,9 @@ NOISE_SHARE, NOISE_LOG10 = 0.5, (-3.5, -1.6)
 """Share of views with sensor noise, and log10 of its deviation (full scale 1), uniform."""
 SCALE_LOG10 = (-0.5, 0.1)
 """Heights are multiplied by a factor, log-uniform: more levels than the tiles have."""
+ROTATED_SHARE = 0.75
+"""Share of the widest views turned by any angle: most materials lie along the axes of their tile."""
+ENLARGED = 4
 FAINT_DECADES = 3.0
 """Levels further below the view's strongest band are taught as this far below: no picture shows them."""
 QUARTER = np.array([1.0, -1.0, -1.0, 1.0, 1.0, 1.0, 1.0])
@@ -81,9 +85,11 @@ def make_batch(pairs: Pairs, rows: NDArray[np.intp], lamps: Lamps, rng: np.rando
     for row in np.flatnonzero(pitch == 0):
         # The widest view is the whole tile, which repeats: it can be shifted at will.
         slopes[row] = np.roll(slopes[row], tuple(rng.integers(0, 64, 2)), axis=(1, 2))
-    turn = rng.integers(0, 8, count)
+    turn, angle = rng.integers(0, 8, count), rng.uniform(-np.pi / 4.0, np.pi / 4.0, count)
     token = pairs.token[pairs.tile_index[rows]].astype(np.float64)
     slopes, token = turned(slopes, token, turn)
+    whole = np.flatnonzero((pitch == 0) & (rng.random(count) < ROTATED_SHARE))
+    slopes[whole], token[whole] = rotated(slopes[whole], token[whole], angle[whole])
     limit = np.array([sensor.max_slope for sensor in lamps.sensors], dtype=np.float32)[make]
     sets = lamps.shading.shape[1] - 1
     chosen = np.where(rng.random(count) < AS_NAMED, sets, rng.integers(0, sets, count))
@@ -123,6 +129,44 @@ def turned(slopes: Single, token: NDArray[np.float64], turn: NDArray[np.int64]) 
         slopes[row] = np.stack([gx, gy])
     token[:, :-2] = bands.reshape(len(token), -1)
     return slopes, token
+
+
+def rotated(
+    slopes: Single, token: NDArray[np.float64], angle: NDArray[np.float64]
+) -> tuple[Single, NDArray[np.float64]]:
+    """The same as seen after a turn counter-clockwise by any angle in radians, for tiles that repeat.
+
+    The tile is enlarged by its Fourier series before it is read by cubic convolution, which then costs the shortest
+    band nothing that counts.
+    """
+    if not len(slopes):
+        return slopes, token
+    side, half = slopes.shape[-1], slopes.shape[-1] // 2
+    fine_side = ENLARGED * side
+    spectrum = np.fft.rfft2(slopes.astype(np.float64))
+    fine_spectrum = np.zeros((*slopes.shape[:2], fine_side, fine_side // 2 + 1), dtype=np.complex128)
+    fine_spectrum[..., :half, :half] = spectrum[..., :half, :half]
+    fine_spectrum[..., -half + 1 :, :half] = spectrum[..., half + 1 :, :half]
+    fine = ENLARGED**2 * np.fft.irfft2(fine_spectrum, s=(fine_side, fine_side))
+    rim = ENLARGED * side // 4
+    wide = np.pad(fine, ((0, 0), (0, 0), (rim, rim), (rim, rim)), mode="wrap")
+    # A pixel's place, from the middle, in pixels: x to the right, y up.
+    along = np.arange(side) - (side - 1) / 2.0
+    x, y = np.broadcast_arrays(along[None, :], -along[:, None])
+    cos, sin = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
+    column, row = cos * x + sin * y, sin * x - cos * y
+    places = np.stack([ENLARGED * (place + (side - 1) / 2.0) + rim for place in (column, row)], axis=-1)
+    grid = torch.tensor(2.0 * places / (wide.shape[-1] - 1) - 1.0, dtype=torch.float32)
+    seen = functional.grid_sample(torch.tensor(wide, dtype=torch.float32), grid, "bicubic", align_corners=True).numpy()
+    gx, gy = seen[:, 0], seen[:, 1]
+    narrow_cos, narrow_sin = cos.astype(np.float32), sin.astype(np.float32)
+    out = np.stack([narrow_cos * gx - narrow_sin * gy, narrow_sin * gx + narrow_cos * gy], axis=1)
+    bands = token[:, :-2].reshape(len(token), -1, len(BAND_FEATURES)).copy()
+    for fold, first in ((2, 1), (4, 3)):
+        c, s = np.cos(fold * angle)[:, None], np.sin(fold * angle)[:, None]
+        even, odd = bands[:, :, first].copy(), bands[:, :, first + 1].copy()
+        bands[:, :, first], bands[:, :, first + 1] = c * even - s * odd, s * even + c * odd
+    return out, np.concatenate([bands.reshape(len(token), -1), token[:, -2:]], axis=1)
 
 
 def shaded(slopes: Tensor, limit: Tensor, shading: Tensor, ambient: Tensor) -> Tensor:

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from ...datasets.tactile_pairs import Pairs
-from ...material.alexnet.network import LEVEL_AT, OUTPUTS, Design
+from ...material.alexnet.network import LEVEL_AT, OUTPUTS, AlexNet, Design
 from .batches import Lamps, make_batch, scattered_lamps
 from .network import AlexNetTwin
 
@@ -51,13 +51,15 @@ def fit(
     seed: int,
     *,
     trunk: dict[str, Tensor] | None = None,
+    start: AlexNet | None = None,
     refresh: Callable[[], Pairs] | None = None,
     watch: Watch | None = None,
 ) -> AlexNetTwin:
     """Train the whole network, or with a trunk (torchvision's names) the head alone, the trunk as it is.
 
-    refresh: asked for the pairs of every further epoch, for a folder that still grows. watch(step, share done, mean
-    loss of the last steps) is called about a hundred times.
+    start: an encoder of the same design to go on from, with its units. refresh: asked for the pairs of every further
+    epoch, for a folder that still grows. watch(step, share done, mean loss of the last steps) is called about a hundred
+    times.
     """
     torch.set_num_threads(1)
     twin = AlexNetTwin(design)
@@ -66,7 +68,10 @@ def fit(
         twin.load_state_dict(trunk, strict=False)
         twin.features.requires_grad_(False)
     lamps = scattered_lamps(seed)
-    _set_out(twin, pairs, lamps, seed)
+    if start is None:
+        _set_out(twin, pairs, lamps, seed)
+    else:
+        twin.load_state_dict({name: torch.tensor(value) for name, value in start.tensors.items()})
     twin.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     learnt = [parameter for parameter in twin.parameters() if parameter.requires_grad]
     optimiser = torch.optim.AdamW(learnt, lr=schedule.learning_rate, weight_decay=schedule.decay)

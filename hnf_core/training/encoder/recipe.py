@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,16 +39,22 @@ def train_encoder(
     *,
     trunk: Path | None = None,
     design: Design | None = None,
+    start: AlexNet | None = None,
     partial: bool = False,
     watch: Watch | None = None,
 ) -> TrainedEncoder:
     """Train on the pairs in folder: everything, or with a trunk file the head alone. Raises FileError, WeightsError.
 
-    partial: train on the shards that are there, and take in at every epoch what has come since.
+    start: an encoder to go on from. partial: train on the shards that are there, and take in at every epoch what has
+    come since.
     """
     pairs = load_pairs(folder, TRAIN, partial=partial)
     if trunk is None:
-        design, weights, source = design or Design(), None, "trunk and head trained together"
+        design, weights, source = (
+            design or (start.design if start else Design()),
+            None,
+            "trunk and head trained together",
+        )
     else:
         design = design or Design(pixels=USERS_PIXELS, mean=IMAGENET_MEAN, deviation=IMAGENET_DEVIATION)
         weights, digest = load_trunk(trunk)
@@ -58,11 +65,13 @@ def train_encoder(
         pairs = load_pairs(folder, TRAIN, partial=True)
         return pairs
 
-    twin = fit(design, pairs, schedule, seed, trunk=weights, refresh=there_now if partial else None, watch=watch)
+    refresh = there_now if partial else None
+    twin = fit(design, pairs, schedule, seed, trunk=weights, start=start, refresh=refresh, watch=watch)
     metadata = {
         "training_data": f"{len(pairs)} views of {pairs.tiles} tiles made by this project's generator of surfaces; "
         f"no recorded data; {source}",
         "seed": str(seed),
+        **({"continued": json.dumps({"from": start.content_id, **start.metadata}, sort_keys=True)} if start else {}),
         "licence": LICENCE if trunk is None else USERS_LICENCE,
     }
     network = twin.to_numpy(metadata)
