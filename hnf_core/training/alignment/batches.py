@@ -14,7 +14,10 @@ from .tuples import Tuples
 Float32 = NDArray[np.float32]
 Rows = NDArray[np.int64]
 
-LOOK_MEAN, LOOK_SCALE = 0.45, 0.25
+COLOUR_MEAN, COLOUR_SCALE = 0.45, 0.5
+LOOK_FLOOR = 0.03
+"""Of a look's texture, as Pictures.floor of touch: colours differ by ten times what the texture of one does."""
+LOOK_SCALE = 1.5
 TOUCH_SCALE = 1.5
 GAIN = 0.2
 """A look is made darker or brighter by up to exp(± this)."""
@@ -43,8 +46,11 @@ def training_batch(tuples: Tuples, chosen: Rows, pixels: int, rng: np.random.Gen
 
 
 def look_tensor(looks: Float32) -> Tensor:
-    """(k, P, P, 3) square root of linear colour 0–1 → (k, 3, P, P)."""
-    return _tensor((looks - LOOK_MEAN) / LOOK_SCALE)
+    """(k, P, P, 3) square root of linear colour 0–1 → (k, 3, P, P): each picture's mean colour, and its texture on top,
+    as a logarithm where it is strong."""
+    colour = looks.mean(axis=(1, 2), keepdims=True)
+    texture = np.arcsinh((looks - colour) / LOOK_FLOOR) / LOOK_SCALE
+    return _tensor((colour - COLOUR_MEAN) / COLOUR_SCALE + texture)
 
 
 def touch_tensor(touches: Float32, floor: float) -> Tensor:
