@@ -58,12 +58,19 @@ class Fresh:
 
 @dataclass(frozen=True)
 class PlannedProbe:
-    """One place to be looked at. renders: 1, or 0 where the store knows the place."""
+    """One place to be looked at. renders: 1, or 0 where the store knows the place. slot: how its relief will come to be
+    known, None where its object has no slots."""
 
     name: str
     object: str
     material: str
     renders: int
+    slot: SlotPlan | None = None
+
+    @property
+    def predictions(self) -> int:
+        """Upper bound, as of a stroke."""
+        return int(self.slot is not None and self.slot.route is Route.PREDICTED)
 
 
 @dataclass(frozen=True)
@@ -83,7 +90,7 @@ class Plan:
     @property
     def predictions(self) -> int:
         """Upper bound: one a patch."""
-        return sum(entry.predictions for entry in self.needed)
+        return sum(entry.predictions for entry in self.needed) + sum(entry.predictions for entry in self.probes)
 
     @property
     def seconds(self) -> float:
@@ -117,6 +124,7 @@ class Plan:
             for probe in self.probes:
                 cost = "1 close-up" if probe.renders else "looked at before, nothing to render"
                 lines.append(f"  {probe.name}: on {probe.object}, {probe.material or 'no material'}; {cost}")
+                lines += [_route_line(probe.slot, probe.predictions)] if probe.slot is not None else []
         lines += ["Fresh:", *(f"  {entry.stroke}: {entry.wav}" for entry in self.fresh)] if self.fresh else []
         lines += ["Skipped:", *_bullets(self.skipped)] if self.skipped else []
         lines += ["Cannot be done:", *(f"  {entry.why}" for entry in self.failed)] if self.failed else []

@@ -25,6 +25,7 @@ from .bake import TouchedObject, bake_patches, patch_key, source_of, token_of, w
 from .choose import Asked, SlotMaterial, chosen_material, decide_material, ranked_materials
 from .jobs import Session
 from .report import Counts
+from .seeing import why_unread
 from .store import PatchRecord, load_patch
 from .targets import resolve_target
 
@@ -114,7 +115,7 @@ def probe_steps(session: Session, asked: ProbePlace, cache: Path, counts: Counts
         stiffness=estimate(library, weights, "stiffness_n_m", SCATTER.stiffness),
         nearest=nearest_materials(fused, ranked),
         ranked=ranked,
-        notes=_notes(touched, place, record),
+        notes=_notes(touched, place, record, unread_note(session, material, record, chosen is not None)),
     )
 
 
@@ -144,8 +145,15 @@ def _with(material: LibraryMaterial) -> tuple[LibraryMaterial, ...]:
     return library if any(each.name == material.name for each in library) else (*library, material)
 
 
-def _notes(touched: TouchedObject, place: Place, record: PatchRecord) -> tuple[str, ...]:
-    notes = [*touched.surface.notes, *place.notes, *record.notes]
+def unread_note(session: Session, material: SlotMaterial, record: PatchRecord, chosen: bool) -> str:
+    """Why a picture that could tell of a relief was not read; "" where it was, or need not be."""
+    if chosen or record.look is None or record.predicted is not None:
+        return ""
+    return f"material '{material.shader}': {session.seeing.missing or why_unread(record.look)}."
+
+
+def _notes(touched: TouchedObject, place: Place, record: PatchRecord, unread: str) -> tuple[str, ...]:
+    notes = [*touched.surface.notes, *place.notes, *record.notes, *([unread] if unread else [])]
     if not place.tangent_known:
         notes.append(
             f"object '{touched.surface.object_name}' has no usable UVs there: directions are counted from the object's "
@@ -156,7 +164,8 @@ def _notes(touched: TouchedObject, place: Place, record: PatchRecord) -> tuple[s
 
 def map_source(probed: Probed) -> str:
     """Where the tactile map comes from, or why there is none, in words."""
-    source = source_of(probed.record)
     if probed.tactile is not None:
-        return source
+        return source_of(probed.record)
+    if probed.record.look is not None:
+        return "there is a picture, and no relief was estimated from it: all bands are the library material's"
     return "the shader has no relief there and no picture that tells of one: all bands are the library material's"

@@ -13,11 +13,13 @@ from hnf_core.cli.progress import Progress
 from hnf_core.errors import HnfError
 
 from ..bridge.strokes import stroke_objects
+from .choose import shader_name
 from .jobs import Gathered, Session
 from .plan import Plan, PlannedProbe
 from .probe import Probed, is_baked, locate, probe_steps
 from .probe_report import write_probe
 from .report import Failed, Report, Skipped, earlier_strokes
+from .routes import object_plans
 from .steps import CACHE_NAME, timed
 
 
@@ -49,9 +51,12 @@ def with_probes(session: Session, plan: Plan) -> Plan:
         except HnfError as error:
             failed.append(Failed(place.name, str(error)))
             continue
-        materials, slot = touched.surface.materials, found.patch.slot
-        material = materials[slot] if slot < len(materials) else ""
-        planned.append(PlannedProbe(place.name, touched.surface.object_name, material, 0 if is_there else 1))
+        slot, plans = found.patch.slot, object_plans(session, touched.obj)
+        route = plans[slot] if slot < len(plans) else None
+        renders = 0 if is_there else 1
+        planned.append(
+            PlannedProbe(place.name, touched.surface.object_name, shader_name(touched, slot), renders, route)
+        )
     return replace(plan, probes=tuple(planned), failed=tuple(failed))
 
 

@@ -1,6 +1,8 @@
-"""Which route each slot of a job's surface will take, told before anything is rendered."""
+"""Which route each slot of a surface will take, told before anything is rendered."""
 
 from __future__ import annotations
+
+from typing import Any
 
 from hnf_core.tactile.tactile_map import Route
 
@@ -12,17 +14,22 @@ CHOSEN = "chosen by the artist"
 
 
 def slot_plans(session: Session, job: Job) -> tuple[SlotPlan, ...]:
-    """Of the slots that the job may touch: all of its object's, or the one that it is to be placed on.
+    """Of the slots that the job may touch: all of its object's, or the one that it is to be placed on."""
+    plans = object_plans(
+        session, session.scene.objects[job.object_name], "" if job.stroke is None else job.stroke.material
+    )
+    return tuple(plan for slot, plan in enumerate(plans) if job.slot in (None, slot))
+
+
+def object_plans(session: Session, obj: Any, material: str = "") -> tuple[SlotPlan, ...]:
+    """Of every slot of an object. material: that a stroke itself asks for.
 
     A slot with a picture may still come out prior, where the picture turns out to be too coarse or of one colour.
     """
-    obj = session.scene.objects[job.object_name]
     materials = session.facts(obj).materials
-    outlook = session.outlook(obj, "" if job.stroke is None else job.stroke.material)
     return tuple(
         _slot_plan(materials[slot], shown, chosen, session.seeing.missing)
-        for slot, (shown, chosen) in enumerate(outlook)
-        if job.slot in (None, slot)
+        for slot, (shown, chosen) in enumerate(session.outlook(obj, material))
     )
 
 
