@@ -19,8 +19,9 @@ sys.path.insert(0, str(ROOT))
 from hnf_core.cli.train_alignment import CHECKPOINT  # noqa: E402
 from hnf_core.errors import FileError  # noqa: E402
 from hnf_core.files import write_text  # noqa: E402
-from hnf_core.training.alignment.data import GeneratedSource  # noqa: E402
-from hnf_core.training.alignment.measure import measure  # noqa: E402
+from hnf_core.training.alignment.data import GeneratedSource, Judged  # noqa: E402
+from hnf_core.training.alignment.kept import load_measured, save_measured  # noqa: E402
+from hnf_core.training.alignment.measure import Measured, measure  # noqa: E402
 from hnf_core.training.alignment.models import Models, load_models, save_models  # noqa: E402
 from hnf_core.training.alignment.table import chances, markdown, report  # noqa: E402
 from hnf_core.training.alignment.train import Recipe, fit, use_threads  # noqa: E402
@@ -50,6 +51,15 @@ def trained(folder: Path, sensor: str, learn: Tuples, recipe: Recipe, threads: i
     return load_models(folder)
 
 
+def measured(path: Path, models: Models, learn: Tuples, judged: Judged, seed: int) -> Measured:
+    """What these weights are worth, measured now where it is not there yet."""
+    found = load_measured(path, models.record["sha256"])
+    if found is None:
+        found = measure(models, learn, judged, seed)
+        save_measured(path, found, models.record["sha256"])
+    return found
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=float, required=True, help="of all three trainings together")
@@ -77,7 +87,10 @@ def main() -> int:
     if arguments.only is not None:
         return 0
     judged = source.judge()
-    told = report([measure(each, learn, judged, arguments.seed) for each in models], chances(judged))
+    results = [
+        measured(arguments.out / each.sensor / "measured.json", each, learn, judged, arguments.seed) for each in models
+    ]
+    told = report(results, chances(judged))
     record = {**told.to_json(), "models": [dict(each.record) for each in models]}
     write_text(arguments.record, json.dumps(record, indent=1) + "\n")
     print(markdown(told))

@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 
 pytest.importorskip("torch", reason="alignment trains with torch")
 
+from hnf_core.errors import FileError
 from hnf_core.training.alignment.bridge import agreement, nearest, triplets
 from hnf_core.training.alignment.heads import LOOKS, REFITTED, TOUCH, VISION, Seen, folded, probed
+from hnf_core.training.alignment.kept import load_measured, save_measured
 from hnf_core.training.alignment.measure import Bridged, Measured
 from hnf_core.training.alignment.probe import chosen_probe, fit_probe
 from hnf_core.training.alignment.retrieval import ranks, recall
@@ -190,3 +192,17 @@ def test_the_table_compares_with_the_same_sensors_own_training() -> None:
     assert len(record["accuracy"]) == 9
     assert record["accuracy"][0]["accuracy"]["items"] == 400
     assert record["recall"]["both"]["digit"]["look to touch"][5] == 0.3
+
+
+def test_what_was_measured_is_kept_for_these_weights_only(tmp_path) -> None:
+    path, sums = tmp_path / "measured.json", {"touch": "a", "vision": "b"}
+    assert load_measured(path, sums) is None
+    before = measured("both", {"gelsight": 0.8, "digit": 0.45})
+    save_measured(path, before, sums)
+    after = load_measured(path, sums)
+    assert after is not None
+    assert report([after], {"known": 0.1}).to_json() == report([before], {"known": 0.1}).to_json()
+    assert load_measured(path, {**sums, "touch": "c"}) is None
+    path.write_text(path.read_text()[:-50])
+    with pytest.raises(FileError, match="Delete it"):
+        load_measured(path, sums)
