@@ -15,7 +15,7 @@ from hnf_core.files import content_hash
 from hnf_core.material.encoders import Encoder
 from hnf_core.material.hnf_file import MaterialFile
 from hnf_core.material.material import Appearance
-from hnf_core.material.token import ENCODER_ID, Token
+from hnf_core.material.token import Token
 from hnf_core.scene.patch import Patch
 from hnf_core.tactile.height import tactile_map_from_height
 from hnf_core.tactile.optics import render_sensor_image, sensor_by_name
@@ -49,7 +49,7 @@ class TouchedObject:
     pictures: tuple[tuple[str, ...], ...] = ()
 
 
-def patch_key(touched: TouchedObject, patch: Patch, encoder: str = ENCODER_ID) -> str:
+def patch_key(touched: TouchedObject, patch: Patch, encoder: str) -> str:
     """Name of a patch's content: geometry, shader, place on the surface, and the way it is looked at. encoder: content
     id of the E that describes what is measured."""
     shader = touched.shader_hashes[patch.slot] if patch.slot < len(touched.shader_hashes) else ""
@@ -65,17 +65,16 @@ def bake_patches(
     patches: Sequence[Patch],
     folder: Path,
     counts: Counts,
-    seeing: Seeing | None = None,
+    seeing: Seeing,
     chosen: Collection[int] = (),
 ) -> Generator[float, None, tuple[PatchRecord, ...]]:
     """One record a patch. What the store lacks is rendered, all of it on one stage; where the relief is not known and
     the colour varies, it is estimated from the picture, once for each patch.
 
-    seeing: the networks, the usual ones where not given. chosen: slots of which the artist said what they are: their
+    seeing: the networks. chosen: slots of which the artist said what they are: their
     pictures are not read. Yields after each patch which share of them is done; each is stored at once, so that a run
     that is stopped has not lost it. Raises SceneError where a texture is missing. counts grows by the work done.
     """
-    seeing = seeing or Seeing()
     keys = [patch_key(touched, patch, seeing.measured.content_id) for patch in patches]
     wanted = dict(zip(keys, patches, strict=True))
     found = {key: record for key in wanted if (record := load_patch(folder, key)) is not None}

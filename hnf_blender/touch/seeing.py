@@ -62,7 +62,8 @@ class Seeing:
             return ""
         return (
             "its relief could be estimated from its picture, but the weights for that are not there; its name and look "
-            f"decide. Install the package with its data files, or run: hnf train tactile-map --out {self._path}"
+            f"decide. Install the package with its data files, or run: hnf train tactile-map --data simulated --out "
+            f"{self._path}"
         )
 
     def views_of(self, look: Look, mask: NDArray[np.bool_], metres_per_pixel: float) -> tuple[LookView, ...]:

@@ -163,7 +163,7 @@ def test_without_weights_it_says_so_and_takes_the_prior(tmp_path, monkeypatch) -
     assert baked.routes == PRIOR
     (said,) = baked.report.warnings
     assert f"material '{PHOTO_PLATE}'" in said
-    assert "hnf train tactile-map --out" in said
+    assert "hnf train tactile-map --data simulated --out" in said
 
 
 def test_where_the_scene_stands_changes_nothing(tmp_path) -> None:
