@@ -31,10 +31,10 @@ COMPARED = (
     judge.NO_DEPTH, judge.NO_COLOUR, judge.DIGIT,
 )  # fmt: skip
 SHORT = {judge.REGRESSION: "regression", judge.NEIGHBOUR: "neighbour", judge.GREY: "grey = height"}
-EXAMPLES = 6
+EXAMPLES = 5
 STEEP = 0.35
 """True slopes are stretched to this RMS; guesses by the same factor, so that a level that is off shows."""
-CELL_PX, LEFT_PX, HEAD_PX = 104, 150, 92
+CELL_PX, LEFT_PX, HEAD_PX = 82, 116, 84
 
 
 def draw_pictures(folder: Path, setup: Setup, measured: Measured) -> None:
@@ -66,7 +66,7 @@ def examples_picture(path: Path, examples: Sequence[Example]) -> None:
                     axes.imshow(picture, interpolation="nearest")
                     if row == 0:
                         wide = 64e3 * example.tile.views[view].pitch_m
-                        axes.set_title(f"{wide:g} mm" if column == 0 else name, fontsize=9, loc="left")
+                        axes.set_title(f"{wide:g} mm" if column == 0 else name, fontsize=8, loc="left")
 
     write_figure(path, size, draw)
 

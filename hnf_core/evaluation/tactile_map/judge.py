@@ -28,6 +28,8 @@ NO_DEPTH, NO_COLOUR = "D_φ, depth unknown", "D_φ, colour unknown"
 DIGIT = "D_φ, DIGIT"
 NEIGHBOUR, GREY, FLAT = "nearest neighbour", "grey level is height", "flat (mean map)"
 CLASS_MEAN, MEAN = "class mean", "mean of all"
+HALFWAY = "D_φ and class mean, halfway"
+"""Their spectra averaged in dB: what knowing the kind of material would add to the picture."""
 DARK = 1e-4
 """Least own range of a sensor image: below, it is flat to the eye, and to eight bits."""
 
@@ -85,6 +87,9 @@ def judge_spectra(field: Field, encoder: Encoder, tile: JudgedTile, maps: Maps, 
     if learned is not None:
         for name, mean in _means(field, tile, learned).items():
             errors[name] = spectrum_error(mean, truth[first])
+            if name == CLASS_MEAN and DIFFUSION in tokens:
+                both = log_mean(np.stack([mean, spectra[list(tokens).index(DIFFUSION)]]))
+                errors[HALFWAY] = spectrum_error(both, truth[first])
     bands = {
         name: 20.0 * (each[LEVELS].astype(np.float64) - truths[against[name]][LEVELS]) for name, each in tokens.items()
     }

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...datasets.tactile_pairs import PAIR_SENSORS
+from ...tactile.diffusion.blas import one_blas_thread
 from ...tactile.diffusion.predict import DEFAULT_STEPS, predict_slopes
 from ...tactile.diffusion.weights import MapWeights
 from ...tactile.views import LookView
@@ -51,7 +52,7 @@ def predicted(weights: MapWeights, tile: JudgedTile, asked: Asked, seed: int, ke
 
     def make() -> Arrays:
         began = time.process_time()
-        with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        with one_blas_thread(), ThreadPoolExecutor(os.cpu_count() or 1) as pool:
             slopes = list(pool.map(one, range(*asked.views)))
         return {
             "slopes": np.stack(slopes).astype(np.float16),

@@ -37,10 +37,10 @@ class Sizes:
     them, judged as pictures in the two pitches between as well. curve: of the held-out classes, over steps and
     guidance. made: training tiles made on the fly where there are no pairs."""
 
-    tiles: int = 48
+    tiles: int = 36
     varied: int = 12
     all_pitches: int = 12
-    curve: int = 12
+    curve: int = 6
     steps: int = DEFAULT_STEPS
     curve_steps: tuple[int, ...] = (1, 2, 4, 8, 12, 20, 50)
     guidance: tuple[float, ...] = (1.0, 1.5, 2.0)

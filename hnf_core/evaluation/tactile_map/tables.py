@@ -19,7 +19,7 @@ from .statistics import Interval, mean_interval, ratio_interval
 
 ROWS = (
     judge.DIFFUSION, judge.REGRESSION, judge.NEIGHBOUR, judge.CLASS_MEAN, judge.MEAN, judge.GREY, judge.FLAT,
-    judge.NO_DEPTH, judge.NO_COLOUR, judge.DIGIT, judge.WHOLE, judge.FLOOR, judge.TRUTH,
+    judge.HALFWAY, judge.NO_DEPTH, judge.NO_COLOUR, judge.DIGIT, judge.WHOLE, judge.FLOOR, judge.TRUTH,
 )  # fmt: skip
 RIVALS = (judge.NEIGHBOUR, judge.CLASS_MEAN, judge.REGRESSION)
 AIM = 0.5
