@@ -11,6 +11,7 @@ from urllib.parse import unquote
 
 from hnf_core.errors import FileError, SceneError
 
+from .. import compat
 from .ply_header import read_ply_header
 from .quiet import quiet
 
@@ -51,6 +52,8 @@ def open_scene(path: Path) -> Any:
     _run(path, lambda: importer(filepath=str(path)))
     scene = bpy.context.scene
     _check_import(scene, path)
+    if suffix == ".ply":
+        _show_painted(scene)
     return scene
 
 
@@ -94,6 +97,23 @@ def size_warning(obj: Any, metres: float) -> str | None:
     else:
         unit = f"Perhaps one unit is more than {metres:g} m"
     return f"object '{obj.name}' is {size} across. {unit}: say so under Units in the Touch tab, or with --scale."
+
+
+def _show_painted(scene: Any) -> None:
+    """A scan's colours lie on its points, and its file names no material: give it one that shows them."""
+    import bpy
+
+    for obj in scene.objects:
+        if obj.type != "MESH" or obj.data.materials or not obj.data.color_attributes:
+            continue
+        material = bpy.data.materials.new(obj.name)
+        compat.switch_nodes_on(material)
+        tree = material.node_tree
+        painted = tree.nodes.new("ShaderNodeVertexColor")
+        painted.layer_name = obj.data.color_attributes[0].name
+        shader = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
+        tree.links.new(painted.outputs["Color"], shader.inputs["Base Color"])
+        obj.data.materials.append(material)
 
 
 def _check_head(path: Path, suffix: str) -> None:

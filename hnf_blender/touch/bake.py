@@ -71,9 +71,9 @@ def bake_patches(
     """One record a patch. What the store lacks is rendered, all of it on one stage; where the relief is not known and
     the colour varies, it is estimated from the picture, once for each patch.
 
-    seeing: the networks. chosen: slots of which the artist said what they are: their
-    pictures are not read. Yields after each patch which share of them is done; each is stored at once, so that a run
-    that is stopped has not lost it. Raises SceneError where a texture is missing. counts grows by the work done.
+    seeing: the networks. chosen: slots of which the artist said what they are: their pictures are not read. Yields
+    after each patch which share of them is done; each is stored at once, so that a run that is stopped has not lost it.
+    Raises SceneError where a texture is missing. counts grows by the work done.
     """
     keys = [patch_key(touched, patch, seeing.measured.content_id) for patch in patches]
     wanted = dict(zip(keys, patches, strict=True))

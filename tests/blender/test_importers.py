@@ -18,6 +18,7 @@ from hnf_blender.bridge.images import missing_image
 from hnf_blender.bridge.importers import metres_per_unit, open_scene, size_warning
 from hnf_blender.bridge.ply_header import read_ply_header
 from hnf_blender.bridge.quiet import quiet
+from hnf_blender.bridge.shader_colour import Shows, shows
 from hnf_core.errors import FileError, HnfError, SceneError
 
 REPOSITORY = Path(__file__).parents[2]
@@ -107,6 +108,21 @@ def test_an_ascii_ply_written_by_hand(tmp_path: Path) -> None:
     assert len(meshes(open_scene(path))) == 1
     path.write_bytes(head.encode())
     assert read_ply_header(path).elements == {"vertex": (3, ("x", "y", "z")), "face": (1, ("vertex_indices",))}
+
+
+def test_the_colours_of_a_scanned_ply_are_seen(tmp_path: Path) -> None:
+    """Two triangles of 0.2 mm, red and green points: what the file holds is what the surface shows."""
+    path = tmp_path / "scan.ply"
+    colours = "".join(f"property uchar {name}\n" for name in ("red", "green", "blue"))
+    path.write_text(
+        "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+        f"{colours}element face 2\nproperty list uchar int vertex_indices\nend_header\n"
+        "0 0 0 255 0 0\n0.0002 0 0 0 255 0\n0 0.0002 0 0 255 0\n0.0002 0.0002 0 255 0 0\n3 0 1 2\n3 1 3 2\n"
+    )
+    (scan,) = meshes(open_scene(path))
+    (material,) = scan.data.materials
+    assert material.name == scan.name
+    assert shows(material) is Shows.PICTURE
 
 
 @pytest.mark.parametrize("kind", FORMATS)
