@@ -1,9 +1,10 @@
 """Train the encoders of docs/alignment.md and judge them: on GelSight tuples, on DIGIT tuples, on both.
 
-Usage: python tools/train_alignment.py --minutes N [--pixels N] [--batch N] [--data DIR] [--out DIR] [--record FILE]
-Needs the extra "train" and the pairs of tools/make_tactile_pairs.py. Of the minutes each sensor's training takes a
-quarter and that on both takes half, so that each sees a sensor's tuples equally often. What is finished is not done
-again. Weights stay in the folder; the record, with their checksums, is committed.
+Usage: python tools/train_alignment.py (--minutes N | --steps N) [--pixels N] [--batch N] [--rate R] [--data DIR]
+       [--out DIR] [--record FILE]
+Needs the extra "train" and the pairs of tools/make_tactile_pairs.py. Of the steps or minutes each sensor's training
+takes a quarter and that on both takes half, so that each sees a sensor's tuples equally often. What is finished is not
+done again. Weights stay in the folder; the record, with their checksums, is committed.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from hnf_core.training.alignment.train import Recipe, fit, use_threads  # noqa: 
 from hnf_core.training.alignment.tuples import Tuples  # noqa: E402
 
 SHARES = {"gelsight": 0.25, "digit": 0.25, "both": 0.5}
-"""Of the time."""
+"""Of the steps or the time."""
 
 
 def trained(folder: Path, sensor: str, learn: Tuples, recipe: Recipe, threads: int) -> Models:
@@ -62,7 +63,10 @@ def measured(path: Path, models: Models, learn: Tuples, judged: Judged, seed: in
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--minutes", type=float, required=True, help="of all three trainings together")
+    parser.add_argument("--minutes", type=float, help="of all three trainings together")
+    parser.add_argument(
+        "--steps", type=int, help="of all three trainings together; equal seeds then give equal weights"
+    )
     parser.add_argument("--pixels", type=int, default=Recipe.pixels)
     parser.add_argument("--batch", type=int, default=Recipe.batch)
     parser.add_argument("--rate", type=float, default=Recipe.rate)
@@ -81,7 +85,8 @@ def main() -> int:
         if arguments.only in (None, sensor):
             recipe = Recipe(
                 pixels=arguments.pixels, batch=arguments.batch, chunk=arguments.batch, rate=arguments.rate,
-                minutes=part * arguments.minutes, seed=arguments.seed,
+                minutes=None if arguments.minutes is None else part * arguments.minutes,
+                steps=None if arguments.steps is None else round(part * arguments.steps), seed=arguments.seed,
             )  # fmt: skip
             models.append(trained(arguments.out / sensor, sensor, learn, recipe, arguments.threads))
     if arguments.only is not None:
