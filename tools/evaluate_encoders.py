@@ -24,6 +24,7 @@ from hnf_core.datasets.tactile_pairs import (  # noqa: E402
     HELD_OUT_INSTANCES,
     UNSEEN_CLASSES,
     Pairs,
+    linear_rgb,
     load_pairs,
 )
 from hnf_core.evaluation.encoders import (  # noqa: E402
@@ -44,6 +45,9 @@ from hnf_core.material.encoder import describe  # noqa: E402
 from hnf_core.material.encoders import Encoder, describe_with, encoder_by_name  # noqa: E402
 from hnf_core.material.token import BAND_WAVELENGTHS_M, ENCODER_NAMES, Token  # noqa: E402
 from hnf_core.simulation.classes import classes  # noqa: E402
+from hnf_core.tactile.diffusion.predict import predict  # noqa: E402
+from hnf_core.tactile.diffusion.weights import MapWeights, load_map_weights  # noqa: E402
+from hnf_core.tactile.views import LookView  # noqa: E402
 from hnf_core.training.encoder.judge import Errors, errors_of, judge, map_of_view  # noqa: E402
 
 INSTANCE = 900
@@ -57,6 +61,8 @@ def main() -> int:
     parser.add_argument("--pairs", type=Path, default=ROOT / "build" / "tactile-pairs")
     parser.add_argument("--encoder", nargs="+", default=list(ENCODER_NAMES), metavar="NAME|FILE")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--maps", type=Path, metavar="FILE", help="weights of D_φ: describe what it predicts, too")
+    parser.add_argument("--predicted", type=int, default=48, metavar="N", help="tiles of each split to predict")
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="every Nth view and class only")
     arguments = parser.parse_args()
@@ -65,6 +71,10 @@ def main() -> int:
     for split in (HELD_OUT_INSTANCES, HELD_OUT_CLASSES):
         pairs = load_pairs(arguments.pairs, split)
         figures[split] = {each.name: view_figures(each, pairs, arguments.every) for each in encoders}
+        if arguments.maps:
+            predicted = predicted_figures(encoders, load_map_weights(arguments.maps), pairs, arguments.predicted)
+            for name, found in predicted.items():
+                figures[split][name]["predicted, widest and finest"] = found
         print(view_tables(split, figures[split]), flush=True)
     pieces = [piece(name, INSTANCE) for name in classes()[:: arguments.every]]
     figures["steadiness"] = {each.name: steadiness_figures(each, pieces) for each in encoders}
@@ -95,6 +105,34 @@ def view_figures(encoder: Encoder, pairs: Pairs, every: int) -> dict[str, Any]:
         "one view, GelSight": asdict(judge(encoder, pairs, list(rows), "gelsight")),
         "one view, DIGIT": asdict(judge(encoder, pairs, list(rows), "digit")),
         "four views merged": asdict(together),
+    }
+
+
+def predicted_figures(encoders: list[Encoder], weights: MapWeights, pairs: Pairs, count: int) -> dict[str, Any]:
+    """Errors of the tokens of maps that D_φ draws from a tile's look: its widest and its finest view, merged."""
+    tiles = np.unique(pairs.tile_index)
+    tiles = tiles[:: max(1, len(tiles) // count)][:count]
+    tokens: dict[str, list[Token]] = {each.name: [] for each in encoders}
+    for tile in tiles:
+        rows = [int(row) for row in np.flatnonzero(pairs.tile_index == tile) if pairs.pitch_index[row] in (0, 3)]
+        looks = [
+            LookView(
+                linear_rgb(pairs.rgb[row]),
+                pairs.depth[row].astype(np.float32) * np.float32(pairs.pitch_m[row]),
+                True,
+                float(pairs.pitch_m[row]),
+            )
+            for row in rows
+        ]
+        maps = predict(weights, looks, "gelsight", seed=int(tile))
+        for each in encoders:
+            tokens[each.name].append(describe_with(each, maps))
+    wanted = pairs.token[tiles].astype(np.float64)
+    return {
+        name: asdict(
+            errors_of(np.array([t.values for t in found], np.float64), np.array([t.known for t in found]), wanted)
+        )
+        for name, found in tokens.items()
     }
 
 

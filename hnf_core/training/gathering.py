@@ -20,6 +20,8 @@ from .surfaces import Specimen, class_specimens, library_specimens, patches, ran
 
 Float = NDArray[np.float64]
 
+MATERIALS_AT_ONCE = 8
+
 
 @dataclass(frozen=True)
 class Sizes:
@@ -103,10 +105,19 @@ def tokens_by(
     encoder: str, specimens: Sequence[Specimen], sizes: Sizes, seed: int, workers: int = 2
 ) -> NDArray[np.float32]:
     """(surfaces, TOKEN_DIM): what another make of E (its name or file) says of the surfaces that gather describes."""
-    surfaces = patches(specimens, 0, sizes.patches, workers, encoder)
-    surfaces += random_surfaces(sizes.random, seed, workers, encoder)
-    surfaces += patches(specimens, sizes.patches, sizes.described, workers, encoder) if sizes.described else []
-    return np.stack([surface.token for surface in surfaces])
+
+    def of_patches(first: int, count: int) -> list[NDArray[np.float32]]:
+        # A few materials at a time: only their tokens are kept, not their heights.
+        return [
+            surface.token
+            for start in range(0, len(specimens), MATERIALS_AT_ONCE)
+            for surface in patches(specimens[start : start + MATERIALS_AT_ONCE], first, count, workers, encoder)
+        ]
+
+    tokens = of_patches(0, sizes.patches)
+    tokens += [surface.token for surface in random_surfaces(sizes.random, seed, workers, encoder)]
+    tokens += of_patches(sizes.patches, sizes.described) if sizes.described else []
+    return np.stack(tokens)
 
 
 _COLUMNS = ("surface", "stiffness", "damping", "friction", "probe", "speed", "angle", "force", "start_x", "start_y")
