@@ -27,8 +27,6 @@ SHARP_WAVE_M = 2.0 * PITCHES_M[0]
 COARSEST_WAVE_M = 1e-3
 """A picture must show waves as short as this. It is then softer than the widest view, though not softer than D_φ knows:
 of 1 mm the blur of its training pictures (σ up to 0.6 pixels) leaves a half."""
-FLAT_M = 0.05e-3
-"""RMS. Depth that varies less is no depth to D_φ: every depth that it was trained on is noisier."""
 
 
 class Seeing:
@@ -53,7 +51,7 @@ class Seeing:
     @property
     def content_id(self) -> str:
         """Changes with everything that a prediction of an equal picture follows from."""
-        return content_hash(self.weights_hash, self.predicted.content_id, f"{SENSOR} {DEFAULT_STEPS} {FLAT_M}")
+        return content_hash(self.weights_hash, self.predicted.content_id, f"{SENSOR} {DEFAULT_STEPS}")
 
     @property
     def missing(self) -> str:
@@ -68,12 +66,9 @@ class Seeing:
 
     def views_of(self, look: Look, mask: NDArray[np.bool_], metres_per_pixel: float) -> tuple[LookView, ...]:
         """What D_φ is shown of a patch; empty where the picture is too coarse, or too little of it is seen."""
-        seen = mask & np.isfinite(look.depth_m)
-        flat = not seen.any() or float(np.std(look.depth_m[seen])) < FLAT_M
-        depth = None if flat else look.depth_m
         resolved = look.resolved_wavelength_m
         soft = SHARP_WAVE_M < resolved <= COARSEST_WAVE_M
-        return cut_views(look.linear, depth, mask, metres_per_pixel, SHARP_WAVE_M if soft else resolved)
+        return cut_views(look.linear, look.depth_m, mask, metres_per_pixel, SHARP_WAVE_M if soft else resolved)
 
     def predict(self, look: Look, views: tuple[LookView, ...], seed: int) -> Prediction:
         """One call of D_φ for all views of a patch, then E of each map, merged. Equal input gives equal bytes. seed: of
