@@ -6,7 +6,6 @@ import bpy
 from drive import scenery
 from drive.addon import children, job_folders, kept, state
 
-SCREEN = "1280x1900"
 LIMIT_S = 120.0
 AWAY = (0.045, 0.045, 0.0)
 """A corner of the plate, seen from above."""
@@ -17,7 +16,6 @@ def check_a_click_is_answered(stage):
     plate = scenery.plate()
     yield from scenery.look_at(stage, plate)
     yield from stage.show_tab()
-    yield from stage.widen_sidebar(340)
     before = kept()
     with stage.over():
         bpy.ops.hnf.probe("INVOKE_DEFAULT")
@@ -37,7 +35,7 @@ def check_a_click_is_answered(stage):
     stage.expect("nothing was chosen unasked", not plate.active_material.hnf_touch.library)
     stage.expect("nothing was kept in the file", kept() == before)
     stage.expect("nothing is left", (children(), job_folders()) == ([], []), (children(), job_folders()))
-    yield from stage.picture("examined", settle=3.0)
+    yield from stage.picture("examined", settle=1.5)
 
 
 def check_a_click_beside_everything_goes_on_waiting(stage):
