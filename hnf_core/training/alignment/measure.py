@@ -19,7 +19,7 @@ from .statistics import Hits
 from .tuples import Tuples
 
 KS = (1, 5, 10)
-PROBE_ITEMS = 3000
+PROBE_ITEMS = 2000
 """Labelled tuples of each sensor that probes are fitted to."""
 
 
