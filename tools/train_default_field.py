@@ -1,6 +1,7 @@
 """Train the shipped weights hnf_core/data/field.safetensors from nothing but this project's own simulator.
 
-Usage: python tools/train_default_field.py [--held-out] [--seed N] [--out FILE] [--workers N] [--cache DIR]
+Usage: python tools/train_default_field.py [--held-out] [--encoder NAME|FILE …] [--seed N] [--out FILE]
+       [--workers N] [--cache DIR]
 Needs the extra "train". What is simulated stays in the cache for tools/evaluate_shared_field.py.
 --held-out trains hnf_core/data/field-held-out.safetensors instead, without the last class of every category: the field
 that `hnf eval` asks about classes it never met.
@@ -26,13 +27,15 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, help="default: where the shipped weights are")
     parser.add_argument("--held-out", action="store_true", help="leave a class of every category out")
+    parser.add_argument("--encoder", nargs="*", default=[], metavar="NAME|FILE", help="further makes of E to learn")
     parser.add_argument("--library", type=Path, default=ROOT / "hnf_core" / "data" / "library.json")
     parser.add_argument("--workers", type=int, default=2, help="processes that simulate; does not change the result")
     parser.add_argument("--cache", type=Path, default=CACHE, help="folder for simulated strokes")
     arguments = parser.parse_args()
     arguments.cache.mkdir(parents=True, exist_ok=True)
     left, shipped = (HELD_OUT, HELD_OUT_WEIGHTS) if arguments.held_out else ((), DEFAULT_WEIGHTS)
-    field = train(arguments.library, Plan(), SHARED, arguments.seed, arguments.cache, arguments.workers, left)
+    plan = Plan(encoders=tuple(arguments.encoder))
+    field = train(arguments.library, plan, SHARED, arguments.seed, arguments.cache, arguments.workers, left)
     out = arguments.out or shipped
     save_field(out, field)
     print(f"{out}: {out.stat().st_size / 1e6:.2f} MB", file=sys.stderr)

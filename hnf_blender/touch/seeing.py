@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hnf_core.field.weights import encoders_of, load_field
 from hnf_core.files import content_hash
 from hnf_core.material.encoders import Encoder, default_encoder, describe_with, encoder_by_name
 from hnf_core.material.token import Token
@@ -36,8 +37,9 @@ class Seeing:
         """Raises UsageError, FileError or WeightsError where encoder cannot be used."""
         self._path = DEFAULT_WEIGHTS
         asked = encoder_by_name(encoder) if encoder else None
-        self.measured: Encoder = asked or default_encoder(Route.MEASURED)
-        self.predicted: Encoder = asked or default_encoder(Route.PREDICTED)
+        known = encoders_of(load_field().metadata)
+        self.measured: Encoder = asked or default_encoder(Route.MEASURED, known)
+        self.predicted: Encoder = asked or default_encoder(Route.PREDICTED, known)
 
     @property
     def weights_hash(self) -> str:

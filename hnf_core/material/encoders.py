@@ -15,8 +15,9 @@ from .encoder import describe
 from .merge import merge
 from .token import ALEXNET_ID, ENCODER_ID, ENCODER_NAMES, Token
 
-DEFAULT_NAMES = {Route.MEASURED: ENCODER_ID, Route.PREDICTED: ENCODER_ID}
-"""Which make describes maps of which route; docs/encoder.md has the figures that decided it."""
+PREFERRED = {Route.MEASURED: (ENCODER_ID,), Route.PREDICTED: (ALEXNET_ID, ENCODER_ID)}
+"""Which makes describe maps of which route, best first: the descriptor is exact on a whole map that has no noise; of a
+few views it takes chance for peaks, which the network does not (docs/encoder.md has the figures)."""
 
 
 @dataclass(frozen=True)
@@ -49,11 +50,19 @@ def encoder_by_name(name: str) -> Encoder:
     )
 
 
-def default_encoder(route: Route) -> Encoder:
-    """The make that describes maps of a route where nobody chose one. Raises UsageError for the prior route."""
-    if route not in DEFAULT_NAMES:
-        raise UsageError("what comes from the library has a token already; there is no map to describe.")
-    return encoder_by_name(DEFAULT_NAMES[route])
+def default_encoder(route: Route, known: Sequence[str] = (ENCODER_ID,)) -> Encoder:
+    """The make that describes maps of a route where nobody chose one: the best of those that the field knows.
+
+    known: field.weights.encoders_of the field in use. Raises UsageError for the prior route, and where the field knows
+    none of the route's makes.
+    """
+    found = next((name for name in PREFERRED.get(route, ()) if name in known), None)
+    if found is None:
+        raise UsageError(
+            f"there is no make of E for {route.value} maps among {', '.join(known)}.",
+            remedy=f"Use a field that was trained on tokens of {ENCODER_ID}.",
+        )
+    return encoder_by_name(found)
 
 
 def describe_with(encoder: Encoder, maps: Sequence[TactileMap]) -> Token:

@@ -14,7 +14,7 @@ from hnf_core.material.alexnet.reading import describe_by_alexnet
 from hnf_core.material.alexnet.weights import load_encoder, save_encoder
 from hnf_core.material.encoder import describe, smooth_token_values
 from hnf_core.material.encoders import (
-    DEFAULT_NAMES,
+    PREFERRED,
     default_encoder,
     describe_with,
     encoder_by_name,
@@ -163,7 +163,7 @@ def test_what_is_no_encoder_is_named(tmp_path):
         encoder_by_name(str(tmp_path / "absent.safetensors"))
     with pytest.raises(UsageError, match="no encoder is called 'alex'"):
         encoder_by_name("alex")
-    with pytest.raises(UsageError, match="no map"):
+    with pytest.raises(UsageError, match="prior maps"):
         default_encoder(Route.PRIOR)
 
 
@@ -177,7 +177,12 @@ def test_views_of_one_patch_make_one_token():
     assert np.array_equal(describe_with(encoder, views[:1]).values, describe(views[0]).values)
 
 
-def test_every_route_with_a_map_has_a_make():
-    assert set(DEFAULT_NAMES) == {Route.MEASURED, Route.PREDICTED}
-    assert set(DEFAULT_NAMES.values()) <= set(ENCODER_NAMES)
+def test_every_route_with_a_map_has_a_make_that_the_field_knows():
+    assert set(PREFERRED) == {Route.MEASURED, Route.PREDICTED}
+    for route, names in PREFERRED.items():
+        assert set(names) <= set(ENCODER_NAMES)
+        assert default_encoder(route).name == ENCODER_ID
+        assert default_encoder(route, ENCODER_NAMES).name == names[0]
+    with pytest.raises(UsageError, match="among other-9"):
+        default_encoder(Route.MEASURED, ("other-9",))
     assert encoder_by_name(ENCODER_ID).describe is describe
