@@ -28,7 +28,7 @@ def add_parser(subjects: Any) -> None:
     parser.add_argument("--weights", type=Path, metavar="FILE", help="of D_φ (default: the shipped ones)")
     parser.add_argument("--regression", type=Path, metavar="FILE", help="of the baseline, see hnf train tactile-map")
     parser.add_argument("--quick", action="store_true", help="a handful of tiles made on the fly, few steps")
-    parser.add_argument("--tiles", type=int, metavar="N", help="of each split")
+    parser.add_argument("--tiles", type=int, metavar="N", help="of new pieces, and of new classes")
     parser.add_argument("--cache", type=Path, metavar="DIR", help="keep tiles and predictions here for the next run")
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="folder to draw pictures into")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of noise and intervals, and of the pairs")
@@ -58,7 +58,8 @@ def run(arguments: argparse.Namespace) -> int:
         data = PAIRS
     sizes = QUICK if arguments.quick else Sizes()
     if arguments.tiles is not None:
-        sizes = replace(sizes, tiles=arguments.tiles)
+        fewer = {name: min(getattr(sizes, name), arguments.tiles) for name in ("varied", "all_pitches", "curve")}
+        sizes = replace(sizes, instances=arguments.tiles, classes=arguments.tiles, **fewer)
     setup = Setup(weights, regression, data, sizes, arguments.seed, arguments.cache)
     bar = ProgressBar()
     try:

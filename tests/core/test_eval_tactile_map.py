@@ -41,7 +41,7 @@ pytestmark = pytest.mark.filterwarnings("error")
 SEED = st.integers(0, 2**31)
 ENCODER = encoder_by_name(ENCODER_ID)
 SIZES = Sizes(
-    tiles=1, varied=1, all_pitches=1, curve=1, steps=2, curve_steps=(1, 2), guidance=(1.0, 2.0), made=2
+    instances=1, classes=1, varied=1, all_pitches=1, curve=1, steps=2, curve_steps=(1, 2), guidance=(1.0, 2.0), made=2
 )  # fmt: skip
 
 

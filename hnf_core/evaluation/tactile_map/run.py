@@ -33,13 +33,15 @@ Watch = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Sizes:
-    """tiles: of each split. varied: of them, with depth or colour withheld and with the other sensor. all_pitches: of
-    them, judged as pictures in the two pitches between as well. curve: of the held-out classes, over steps and
-    guidance. made: training tiles made on the fly where there are no pairs."""
+    """instances, classes: tiles of held-out instances and of held-out classes. varied: of each, how many with depth or
+    colour withheld and with the other sensor. all_pitches: of each, judged as pictures in the two pitches between as
+    well. curve: of the held-out classes, over steps and guidance. made: training tiles made on the fly where there are
+    no pairs."""
 
-    tiles: int = 36
-    varied: int = 12
-    all_pitches: int = 12
+    instances: int = 24
+    classes: int = 36
+    varied: int = 6
+    all_pitches: int = 6
     curve: int = 6
     steps: int = DEFAULT_STEPS
     curve_steps: tuple[int, ...] = (1, 2, 4, 8, 12, 20, 50)
@@ -48,7 +50,15 @@ class Sizes:
 
 
 QUICK = Sizes(
-    tiles=3, varied=1, all_pitches=1, curve=1, steps=8, curve_steps=(1, 2, 4, 8), guidance=(1.0, 2.0), made=12
+    instances=2,
+    classes=3,
+    varied=1,
+    all_pitches=1,
+    curve=1,
+    steps=8,
+    curve_steps=(1, 2, 4, 8),
+    guidance=(1.0, 2.0),
+    made=12,
 )
 
 
@@ -104,7 +114,8 @@ def measure(setup: Setup, watch: Watch = lambda what, done, total: None) -> Meas
     tiles: dict[str, list[JudgedTile]] = {}
     for split in SPLITS:
         watch(f"tiles, {split}", len(tiles), len(SPLITS))
-        tiles[split] = judged_tiles(orders(split, PairSizes(), setup.seed), sizes.tiles, kept)
+        count = sizes.classes if split == HELD_OUT_CLASSES else sizes.instances
+        tiles[split] = judged_tiles(orders(split, PairSizes(), setup.seed), count, kept)
     every = list(chain.from_iterable(tiles.values()))
     watch("training set", 0, 1)
     learned = _learned(setup, every, kept)

@@ -208,7 +208,8 @@ def _settings(setup: Setup, measured: Measured) -> str:
     sizes = setup.sizes
     timed = ", ".join(f"{name} {value:.2f} s" for name, value in measured.seconds.items())
     return (
-        f"{sizes.tiles} tiles of each split, {sizes.varied} of them with something withheld or the other sensor; "
+        f"{sizes.instances} tiles of held-out instances and {sizes.classes} of held-out classes, {sizes.varied} of "
+        "each with something withheld or the other sensor; "
         f"{sizes.steps} steps; stand-ins from {measured.training_views} training views; grey scale = "
         f"{1e6 * measured.grey_m:.1f} µm; tokens by {measured.encoder}; seed {setup.seed}. Processor time "
         f"of a patch of five views: {timed}."
