@@ -116,7 +116,7 @@ def test_the_zip_holds_code_data_licence_and_wheels_and_nothing_else(archive: Pa
     data = {str(p.relative_to(build_extension.ROOT)) for p in (build_extension.ROOT / "hnf_core").rglob("data/*")}
     assert data >= build_extension.LEFT_OUT
     assert data & names == data - build_extension.LEFT_OUT
-    assert archive.stat().st_size < 46 * MEGABYTE
+    assert archive.stat().st_size < 48 * MEGABYTE  # 10 of them are the networks' weights
 
 
 def test_no_wheel_brings_numpy_torch_or_scipy(archive: Path) -> None:
