@@ -54,7 +54,7 @@ def without(folder: str, *names: str) -> tuple[str, ...]:
 
 
 # Minutes each; the oldest and the newest Blender agree on them.
-TWICE_IS_ENOUGH = ("test_real_scenes", "test_*predicted*")
+TWICE_IS_ENOUGH = ("test_real_scenes", "test_*predicted*", "test_touch", "test_touch_bad_input")
 # Real time, other processes, compilers, words, and reports of many figures: nothing that another numpy could change.
 SAME_ON_EVERY_NUMPY = (
     "test_faults*", "test_audio_sink", "test_player", "test_serial_s*", "test_osc_sink", "test_firmware_*",
