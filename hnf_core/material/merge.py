@@ -21,13 +21,15 @@ from .token import (
 Float = NDArray[np.float64]
 
 BANDS = len(BAND_WAVELENGTHS_M)
+SHAPE = slice(-len(SHAPE_FEATURES), None)
 
 
 def merge(tokens: Sequence[Token], weights: Sequence[float] | None = None) -> Token:
     """The token of the union of the views, band by band over the views that know the band.
 
     A band's level is the mean of its power (mean square height); every other feature of a band is a share of that
-    power, so that its mean is weighted by it. Skewness and kurtosis are weighted by all power that the view knows.
+    power, so that its mean is weighted by it. Skewness and kurtosis are weighted by all power that the view knows, and
+    by area alone where no view that knows them knows any power.
     Known where any view knows; elsewhere the smooth floor. weights: one per token (the area a view shows), equal where
     not given. The order does not matter, to the last bit. Raises MaterialError without tokens, on values of the wrong
     size or not finite, and on weights that are not positive.
@@ -43,10 +45,13 @@ def merge(tokens: Sequence[Token], weights: Sequence[float] | None = None) -> To
         return Token(values[0].astype(np.float32), known[0])
     power = 10.0 ** (2.0 * values[:, LEVELS])
     level_known = known[:, LEVELS]
+    all_power = (power * level_known).sum(axis=1)
+    if not (known[:, SHAPE] & (all_power > 0.0)[:, None]).any():
+        all_power = np.ones(len(tokens))
     weight = np.concatenate(
         [
             np.repeat(areas[:, None] * power, len(BAND_FEATURES), axis=1),
-            np.repeat((areas * (power * level_known).sum(axis=1))[:, None], len(SHAPE_FEATURES), axis=1),
+            np.repeat((areas * all_power)[:, None], len(SHAPE_FEATURES), axis=1),
         ],
         axis=1,
     )

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -26,6 +26,11 @@ def tokens(draw: st.DrawFn) -> Token:
 
 
 views = st.lists(tokens(), min_size=1, max_size=6)
+
+_SHAPE_ONLY = smooth_token_values()
+_SHAPE_ONLY[-2:] = [1.0, -0.5]
+SHAPE_ONLY = Token(_SHAPE_ONLY, np.arange(TOKEN_DIM) >= TOKEN_DIM - 2)
+"""A view that knows how heights are spread and no band's power."""
 
 
 @given(tokens())
@@ -66,6 +71,7 @@ def test_a_bands_power_is_the_mean_power_of_the_views_that_know_it(found):
 
 
 @settings(max_examples=60)
+@example([SHAPE_ONLY, SHAPE_ONLY])
 @given(views)
 def test_every_feature_lies_between_those_of_its_views(found):
     merged = merge(found)
@@ -74,6 +80,7 @@ def test_every_feature_lies_between_those_of_its_views(found):
         assert min(those) - 1e-5 <= merged.values[index] <= max(those) + 1e-5
 
 
+@example(SHAPE_ONLY, 2)
 @given(tokens(), st.integers(2, 5))
 def test_equal_views_say_what_one_says(token, count):
     np.testing.assert_allclose(merge([token] * count).values, token.values, atol=1e-5)

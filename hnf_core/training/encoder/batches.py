@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy import ndimage
 from torch import Tensor
-from torch.nn import functional
 
 from ...datasets.tactile_pairs import PAIR_SENSORS, Pairs
 from ...material.alexnet.network import (
@@ -36,7 +36,7 @@ SCALE_LOG10 = (-0.5, 0.1)
 """Heights are multiplied by a factor, log-uniform: more levels than the tiles have."""
 ROTATED_SHARE = 0.75
 """Share of the widest views turned by any angle: most materials lie along the axes of their tile."""
-ENLARGED = 4
+ENLARGED = 2
 FAINT_DECADES = 3.0
 """Levels further below the view's strongest band are taught as this far below: no picture shows them."""
 QUARTER = np.array([1.0, -1.0, -1.0, 1.0, 1.0, 1.0, 1.0])
@@ -136,8 +136,8 @@ def rotated(
 ) -> tuple[Single, NDArray[np.float64]]:
     """The same as seen after a turn counter-clockwise by any angle in radians, for tiles that repeat.
 
-    The tile is enlarged by its Fourier series before it is read by cubic convolution, which then costs the shortest
-    band nothing that counts.
+    The tile is enlarged by its Fourier series before it is read by cubic splines, which then cost the shortest band
+    nothing that counts.
     """
     if not len(slopes):
         return slopes, token
@@ -148,16 +148,14 @@ def rotated(
     fine_spectrum[..., :half, :half] = spectrum[..., :half, :half]
     fine_spectrum[..., -half + 1 :, :half] = spectrum[..., half + 1 :, :half]
     fine = ENLARGED**2 * np.fft.irfft2(fine_spectrum, s=(fine_side, fine_side))
-    rim = ENLARGED * side // 4
-    wide = np.pad(fine, ((0, 0), (0, 0), (rim, rim), (rim, rim)), mode="wrap")
     # A pixel's place, from the middle, in pixels: x to the right, y up.
     along = np.arange(side) - (side - 1) / 2.0
     x, y = np.broadcast_arrays(along[None, :], -along[:, None])
     cos, sin = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
-    column, row = cos * x + sin * y, sin * x - cos * y
-    places = np.stack([ENLARGED * (place + (side - 1) / 2.0) + rim for place in (column, row)], axis=-1)
-    grid = torch.tensor(2.0 * places / (wide.shape[-1] - 1) - 1.0, dtype=torch.float32)
-    seen = functional.grid_sample(torch.tensor(wide, dtype=torch.float32), grid, "bicubic", align_corners=True).numpy()
+    places = ENLARGED * (np.stack([sin * x - cos * y, cos * x + sin * y], axis=1) + (side - 1) / 2.0)
+    seen = np.empty_like(slopes)
+    for index in np.ndindex(slopes.shape[:2]):
+        ndimage.map_coordinates(fine[index], places[index[0]], seen[index], order=3, mode="grid-wrap")
     gx, gy = seen[:, 0], seen[:, 1]
     narrow_cos, narrow_sin = cos.astype(np.float32), sin.astype(np.float32)
     out = np.stack([narrow_cos * gx - narrow_sin * gy, narrow_sin * gx + narrow_cos * gy], axis=1)
