@@ -24,13 +24,18 @@ WORDS = [choice.word for choice in FORMAT_CHOICES]
 
 @pytest.fixture(scope="module")
 def baked_file(operators, rendered_plate, tmp_path_factory):
-    """The small scene with its bake in it, saved; an export folder beside."""
+    """The small scene with its bake in it, saved; an export folder beside.
+
+    The artist says that it is smooth plastic, whose last octave, in which one format ends, is too quiet to be told of.
+    By its ridges it would be carbon fibre, the one plastic that has any so far apart, and that octave would be heard.
+    """
     from hnf_blender.jobs import running
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     folder = tmp_path_factory.mktemp("scene")
     shutil.copytree(rendered_plate, folder / "cache")
-    small_scene()
+    plate, _ = small_scene()
+    plate.data.materials[0].hnf_touch.library = "smooth-plastic"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(running, "cache_folder", lambda: folder / "cache")
         assert bpy.ops.hnf.bake() == {"FINISHED"}
@@ -71,10 +76,7 @@ def test_each_format_leaves_and_says_what_it_cost(word: str, folder) -> None:
     assert sentence.startswith(f"{name}: ")
     lossless = word in ("wav", "glb", "csv", "npz")
     assert ("nothing is lost" in sentence) == lossless
-    if word == "wav8k":  # it ends at 4 kHz, inside the last octave
-        assert "no octave changed" in sentence or "most changed 1414–5000 Hz" in sentence
-    else:
-        assert ("no octave changed" in sentence) == (word == "wav48k")
+    assert ("no octave changed" in sentence) == (word in ("wav8k", "wav48k"))
     assert str(folder / name) in PREVIEW.losses
     if FORMATS[word].scaled:
         assert "1 = 30 m/s²" in PREVIEW.losses
