@@ -57,6 +57,9 @@ def test_each_material_has_its_signal(touched) -> None:
 def test_the_routes_show_what_the_maps_resolve(touched) -> None:
     _, report, _, materials = touched
     for entry in report["strokes"]:
+        fine = [entry["routes"][band] for band in ("1 mm", "0.5 mm", "0.25 mm", "0.125 mm")]
+        finest = "predicted" if materials is CHAIR and entry["material"] == "label" else "prior"  # two texels: 0.7 mm
+        assert fine == [finest, "prior", "prior", "prior"], entry["name"]
         resolved_mm = 1e3 * (entry["resolved_wavelength_m"] or math.inf)
         for band, route in entry["routes"].items():
             shortest_mm = float(band.removesuffix(" mm")) / math.sqrt(2.0)
