@@ -34,7 +34,7 @@ def add_parser(subjects: Any) -> None:
     parser.add_argument("--batch", type=int, metavar="N", help="tuples that are told apart")
     parser.add_argument("--chunk", type=int, metavar="N", help="of them in memory at once, by cached gradients")
     parser.add_argument("--rate", type=float, metavar="R", help="highest learning rate")
-    parser.add_argument("--trunk", type=Path, metavar="FILE", help="resnet50 to start from (.safetensors or .pth)")
+    parser.add_argument("--trunk", type=Path, metavar="FILE", help="resnet50 to start from (.safetensors)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of weights, batches, lamps and cuts")
     parser.add_argument("--threads", type=int, default=1, metavar="N", help="of torch (default 1)")
     parser.add_argument("--fresh", action="store_true", help="start anew even where a killed run could go on")
@@ -59,12 +59,12 @@ def run(arguments: argparse.Namespace) -> int:
     from ..training.alignment.data import open_source
     from ..training.alignment.models import save_models
     from ..training.alignment.train import fit
-    from ..training.encoder.trunk_file import read_state_dict
+    from ..training.state_dict import read_state_dict
 
     recipe = _recipe(arguments)
     start = None
     if arguments.trunk is not None:
-        start = read_state_dict(arguments.trunk, "Give torchvision's resnet50, as .pth or as .safetensors.")
+        start, _ = read_state_dict(arguments.trunk, "resnet50")
     source = open_source(arguments.data or [[PAIRS]])
     tuples = source.learn()
     if arguments.sensor != "both":

@@ -18,7 +18,7 @@ def add_parser(subjects: Any) -> argparse.ArgumentParser:
         "encoder",
         help="the network that turns views of a touch sensor into tokens",
         description="Train AlexNet's trunk and a head on pairs written by tools/make_tactile_pairs.py, or with --trunk "
-        "the head alone on a trunk of yours (torchvision's alexnet, .pth or .safetensors). Use the result with "
+        "the head alone on a trunk of yours (torchvision's alexnet, .safetensors). Use the result with "
         "--encoder FILE. Needs the extra [train].",
     )
     parser.add_argument("--data", type=Path, required=True, metavar="DIR", help="folder of the pairs")

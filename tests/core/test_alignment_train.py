@@ -12,6 +12,8 @@ from alignment_pairs import write_pairs
 
 torch = pytest.importorskip("torch", reason="alignment trains with torch")
 
+from safetensors.torch import save_file  # noqa: E402
+
 from hnf_core.cli.main import main  # noqa: E402
 from hnf_core.errors import FileError, UsageError, WeightsError  # noqa: E402
 from hnf_core.training.alignment import train  # noqa: E402
@@ -134,8 +136,8 @@ def hnf(*words: object) -> int:
 def test_the_words_train_and_judge(folder: Path, tmp_path: Path, monkeypatch, capsys) -> None:
     monkeypatch.setattr(train, "RESNET50", TINY)
     quick = ("--data", folder, "--steps", "2", "--batch", "16", "--pixels", "32", "--json")
-    trunk = tmp_path / "trunk.pth"
-    torch.save(Encoder(TINY).state_dict(), trunk)
+    trunk = tmp_path / "trunk.safetensors"
+    save_file(Encoder(TINY).state_dict(), trunk)
     for sensor, more in (("gelsight", ()), ("both", ("--trunk", trunk))):
         assert hnf("train", "alignment", *quick, "--sensor", sensor, "--out", tmp_path / sensor, *more) == 0
         record = json.loads(capsys.readouterr().out)
@@ -166,6 +168,9 @@ def test_wrong_words_are_told(folder: Path, tmp_path: Path, capsys) -> None:
     assert hnf("train", "alignment", "--data", tmp_path / "none", "--steps", "1", *out) == 1
     assert "no tactile pairs here" in capsys.readouterr().err
     assert hnf("train", "alignment", "--data", folder, "--steps", "1", "--trunk", folder / "no.pth", *out) == 1
+    torch.save(Encoder(TINY).state_dict(), tmp_path / "trunk.pth")
+    assert hnf("train", "alignment", "--data", folder, "--steps", "1", "--trunk", tmp_path / "trunk.pth", *out) == 1
+    assert "torchvision.models.resnet50(" in capsys.readouterr().err
     assert hnf("train", "alignment", "--data", folder, "--minutes", "0", *out) == 2
     assert hnf("eval", "alignment", "--models", tmp_path / "none") == 1
     assert hnf("eval", "alignment", "--models", tmp_path, "--items", "3") == 2

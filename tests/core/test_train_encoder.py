@@ -24,6 +24,8 @@ from hnf_core.tactile.optics import SENSORS, gel_gradients
 from hnf_core.tactile.views import PITCHES_M
 
 torch = pytest.importorskip("torch", reason="training needs the extra [train]")
+from safetensors.torch import save_file  # noqa: E402
+
 from hnf_core.training.encoder.batches import faint_levels_raised, make_batch, rotated, scattered_lamps, turned  # noqa: E402
 from hnf_core.training.encoder.fit import Schedule, fit  # noqa: E402
 from hnf_core.training.encoder.judge import errors_of, judge  # noqa: E402
@@ -92,14 +94,25 @@ def test_an_encoder_is_trained_judged_and_can_be_used(folder: Path, tmp_path: Pa
 
 def test_with_a_trunk_only_the_head_is_trained(folder: Path, tmp_path: Path, capsys) -> None:
     tensors = {name: torch.tensor(random_tensors(Design(), 4)[name]) for name in trunk_names()}
-    torch.save({**tensors, "classifier.6.bias": torch.zeros(1000)}, tmp_path / "alexnet.pth")
+    save_file({**tensors, "classifier.6.bias": torch.zeros(1000)}, tmp_path / "alexnet.safetensors")
     out = tmp_path / "e.safetensors"
-    words = ("--data", folder, "--trunk", tmp_path / "alexnet.pth", "--out", out, "--steps", 2)
+    words = ("--data", folder, "--trunk", tmp_path / "alexnet.safetensors", "--out", out, "--steps", 2)
     assert hnf("train", "encoder", *words) == 0
     assert "SHA-256" in capsys.readouterr().out
     network = load_encoder(out)
     assert all(np.array_equal(network.tensors[name], tensors[name].numpy()) for name in tensors)
     assert network.design.mean == (0.485, 0.456, 0.406)
+
+
+def test_torchs_own_file_is_refused_with_the_way_round_it(folder: Path, tmp_path: Path, capsys) -> None:
+    tensors = {name: torch.tensor(random_tensors(Design(), 4)[name]) for name in trunk_names()}
+    torch.save(tensors, tmp_path / "alexnet.pth")
+    words = ("--trunk", tmp_path / "alexnet.pth", "--out", tmp_path / "e.safetensors", "--steps", 2)
+    assert hnf("train", "encoder", "--data", folder, *words) == 1
+    told = capsys.readouterr().err
+    assert "read as data" in told
+    assert "torchvision.models.alexnet(" in told
+    assert [path.name for path in tmp_path.iterdir()] == ["alexnet.pth"]
 
 
 @pytest.mark.parametrize(

@@ -42,8 +42,6 @@ TRAINING_MODULES = {"torch", "scipy", "torchvision"}
 TRAINED_RIVALS = {CORE / "baselines" / f"{name}.py" for name in ("gacm", "literal", "piecewise_ar", "piecewise_ar_fit")}
 UNSAFE_MODULES = {"pickle", "cPickle", "dill", "joblib", "marshal", "shelve", "cloudpickle"}
 UNSAFE_CALLS = {"eval", "exec"}
-READS_TORCHS_OWN = CORE / "training" / "encoder" / "trunk_file.py"
-"""ImageNet trunks come as torch's own files: here alone they are read, and with weights_only."""
 
 Rule = Callable[[Path, ast.Module], list[str]]
 
@@ -103,11 +101,7 @@ def is_unsafe(path: Path, tree: ast.Module) -> list[str]:
             continue
         if isinstance(node.func, ast.Name) and node.func.id in UNSAFE_CALLS:
             found.append(f"line {node.lineno}: {node.func.id}()")
-        if (
-            isinstance(node.func, ast.Attribute)
-            and ast.unparse(node.func) == "torch.load"
-            and not (path == READS_TORCHS_OWN and "weights_only=True" in map(ast.unparse, node.keywords))
-        ):
+        if isinstance(node.func, ast.Attribute) and ast.unparse(node.func) == "torch.load":
             found.append(f"line {node.lineno}: torch.load unpickles; use safetensors")
         found += [
             f"line {node.lineno}: allow_pickle"

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from ...errors import WeightsError
+from ..state_dict import how_to_save
 
 EXPANSION = 4
 """A block's outputs per unit of its width."""
@@ -85,15 +85,15 @@ class Encoder(nn.Module):
         return functional.normalize(point.to(torch.promote_types(point.dtype, torch.float32)), dim=1)
 
 
-def load_trunk(encoder: Encoder, published: Mapping[Any, Any], where: str) -> None:
+def load_trunk(encoder: Encoder, published: Mapping[str, Tensor], where: str) -> None:
     """Take all weights but `fc` from a state dict with the standard names, as of ImageNet.
 
     Raises WeightsError where one is missing, left over, of another shape, or not finite.
     """
     own = encoder.state_dict()
     trunk = {name: value for name, value in own.items() if not name.startswith("fc.")}
-    given = {name: value for name, value in published.items() if not str(name).startswith("fc.")}
-    wrong = sorted(map(str, trunk.keys() ^ given.keys())) or [
+    given = {name: value for name, value in published.items() if not name.startswith("fc.")}
+    wrong = sorted(trunk.keys() ^ given.keys()) or [
         name for name, value in trunk.items() if not _fits(given[name], value)
     ]
     if wrong:
@@ -101,13 +101,13 @@ def load_trunk(encoder: Encoder, published: Mapping[Any, Any], where: str) -> No
             f"these are no weights of a ResNet-50: {wrong[0]} is missing, unknown, misshapen or not finite"
             f" ({len(wrong)} such).",
             where=where,
-            remedy="Give resnet50 in torchvision's form.",
+            remedy=how_to_save("resnet50"),
         )
     encoder.load_state_dict({**own, **{name: given[name].to(value.dtype) for name, value in trunk.items()}})
 
 
-def _fits(given: object, own: Tensor) -> bool:
-    return isinstance(given, Tensor) and given.shape == own.shape and bool(given.isfinite().all())
+def _fits(given: Tensor, own: Tensor) -> bool:
+    return given.shape == own.shape and bool(given.isfinite().all())
 
 
 def _stage(inputs: int, width: int, blocks: int, stride: int) -> nn.Sequential:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from math import cos, pi
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -81,7 +80,7 @@ def fit(
     recipe: Recipe,
     checkpoint: Path | None = None,
     watch: Watch = lambda *_: None,
-    start: Mapping[Any, Any] | None = None,
+    start: Mapping[str, torch.Tensor] | None = None,
 ) -> Fitted:
     """Train two encoders on tuples (their labels are not looked at).
 
