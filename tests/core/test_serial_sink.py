@@ -7,16 +7,19 @@ import os
 import subprocess
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from ptys import needs_pty
 
-from hnf_core.actuators.protocol.frames import OVERHEAD
-from hnf_core.actuators.protocol.messages import Samples, frames_per_message
+from hnf_core.actuators.protocol.frames import OVERHEAD, Decoder
+from hnf_core.actuators.protocol.messages import FROM_HOST, Bye, Message, Samples, Stop, frames_per_message
+from hnf_core.actuators.sinks import serial as serial_sink
 from hnf_core.actuators.sinks import serial_port
 from hnf_core.actuators.sinks.serial import FRAMES, SerialSink
 from hnf_core.actuators.virtual.device import Abilities
@@ -94,6 +97,51 @@ def test_after_stop_it_begins_again(port: VirtualPort) -> None:
     sink.stop()
     assert sink.open().rate_hz == 8000.0
     sink.close()
+
+
+class Pauses:
+    """The module time, but for sleep()."""
+
+    def __init__(self, sleep: Callable[[float], None]) -> None:
+        self.sleep = sleep
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(time, name)
+
+
+def test_a_port_that_is_closed_lets_its_stop_out_before_it_drops_what_waits(
+    port: VirtualPort, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A pty says that nothing waits while all of it does. This device reads while close() pauses, and not before: where
+    it does not pause, what waits is dropped unheard."""
+    import serial
+
+    sink, decoder, heard, bye = SerialSink(port.path, rate_hz=8000), Decoder(FROM_HOST), [], threading.Event()
+    heard_at_the_drop: list[list[type[Message]]] = []
+
+    def hear(data: bytes) -> bytes:
+        heard.extend(type(message) for message in decoder.feed(data))
+        if Bye in heard:
+            bye.set()
+        return data
+
+    def pause(_seconds: float) -> None:
+        port.deaf = False
+        bye.wait(30.0)
+
+    def drop(opened: serial.Serial) -> None:
+        heard_at_the_drop.append(list(heard))
+        dropping(opened)
+
+    sink.open()
+    play(sink, noise(400, 1))
+    dropping = serial.Serial.reset_output_buffer
+    monkeypatch.setattr(serial.Serial, "reset_output_buffer", drop)
+    monkeypatch.setattr(serial_sink, "time", Pauses(pause))
+    with port.standing():
+        port.deaf, port.from_host = True, hear
+    sink.close()
+    assert [each[-2:] for each in heard_at_the_drop] == [[Stop, Bye]]
 
 
 @pytest.mark.parametrize(
