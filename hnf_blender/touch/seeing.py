@@ -34,7 +34,7 @@ class Seeing:
     """The networks of one run. encoder: name or file of a make of E for all maps, "" = each route's own default."""
 
     def __init__(self, encoder: str = "") -> None:
-        """Raises UsageError, FileError or WeightsError where encoder cannot be used."""
+        """Raises UsageError, FileError, WeightsError or MaterialError where encoder cannot be used."""
         self._path = DEFAULT_WEIGHTS
         asked = encoder_by_name(encoder) if encoder else None
         known = encoders_of(load_field().metadata)

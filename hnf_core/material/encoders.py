@@ -33,7 +33,8 @@ class Encoder:
 def encoder_by_name(name: str) -> Encoder:
     """The encoder of that name, or the one in the file of that name (.safetensors, see `hnf train encoder`).
 
-    Raises UsageError for an unknown name, FileError and WeightsError where a file cannot be used.
+    Raises UsageError for an unknown name, FileError and WeightsError where a file cannot be used, MaterialError where
+    the network was left out of the Blender extension.
     """
     if name == ENCODER_ID:
         return Encoder(ENCODER_ID, ENCODER_ID, describe)
@@ -54,7 +55,7 @@ def default_encoder(route: Route, known: Sequence[str] = (ENCODER_ID,)) -> Encod
     """The make that describes maps of a route where nobody chose one: the best of those that the field knows.
 
     known: field.weights.encoders_of the field in use. Raises UsageError for the prior route, and where the field knows
-    none of the route's makes.
+    none of the route's makes; MaterialError where the Blender extension leaves out the one that it knows best.
     """
     found = next((name for name in PREFERRED.get(route, ()) if name in known), None)
     if found is None:

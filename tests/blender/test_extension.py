@@ -20,6 +20,12 @@ from typing import Any
 import build_extension
 import pytest
 
+from hnf_core.field.weights import DEFAULT_WEIGHTS, HELD_OUT_WEIGHTS, encoders_of, load_field
+from hnf_core.material.alexnet.weights import DEFAULT_ENCODER
+from hnf_core.material.encoders import PREFERRED, default_encoder
+from hnf_core.material.token import ALEXNET_ID, ENCODER_ID
+from hnf_core.tactile.diffusion.weights import DEFAULT_WEIGHTS as DEFAULT_MAP_WEIGHTS
+
 PACKAGE = "bl_ext.user_default.hnf"
 PYTHON = f"{sys.version_info.major}.{sys.version_info.minor}"
 MEGABYTE = 1_000_000
@@ -116,7 +122,37 @@ def test_the_zip_holds_code_data_licence_and_wheels_and_nothing_else(archive: Pa
     data = {str(p.relative_to(build_extension.ROOT)) for p in (build_extension.ROOT / "hnf_core").rglob("data/*")}
     assert data >= build_extension.LEFT_OUT
     assert data & names == data - build_extension.LEFT_OUT
-    assert archive.stat().st_size < 48 * MEGABYTE  # 10 of them are the networks' weights
+    assert archive.stat().st_size < 46 * MEGABYTE
+
+
+def test_no_route_needs_what_the_zip_leaves_out() -> None:
+    """E's network has to go into the zip together with the first field that knows its tokens."""
+    left_out = {build_extension.ROOT / name for name in build_extension.LEFT_OUT}
+    assert {DEFAULT_ENCODER, HELD_OUT_WEIGHTS} == left_out
+    assert left_out.isdisjoint({DEFAULT_WEIGHTS, DEFAULT_MAP_WEIGHTS})
+    known = encoders_of(load_field().metadata)
+    assert {default_encoder(route, known).name for route in PREFERRED} == {ENCODER_ID}
+
+
+def test_asked_for_what_the_zip_leaves_out_it_says_what_to_do(profile: Profile) -> None:
+    code = f"""
+        import importlib, json
+        ours = lambda name: importlib.import_module('{PACKAGE}.' + name)
+        seeing, family = ours('touch.seeing').Seeing, ours('hnf_core.errors')
+        try:
+            seeing('{ALEXNET_ID}')
+        except family.HnfError as error:
+            said = [type(error).__name__, str(error)]
+        usual = seeing()
+        print('RESULT', json.dumps([said, usual.measured.name, usual.predicted.name, usual.missing]))
+    """
+    run = profile.run(code)
+    assert run.returncode == 0, run.stdout + run.stderr
+    (kind, message), *usual = result_of(run)
+    assert kind == "MaterialError"
+    assert ALEXNET_ID in message
+    assert f"Choose {ENCODER_ID}" in message
+    assert usual == [ENCODER_ID, ENCODER_ID, ""]
 
 
 def test_no_wheel_brings_numpy_torch_or_scipy(archive: Path) -> None:

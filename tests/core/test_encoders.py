@@ -8,7 +8,8 @@ from alexnet_parts import random_encoder
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.errors import FileError, UsageError, WeightsError
+from hnf_core.errors import FileError, MaterialError, UsageError, WeightsError
+from hnf_core.material.alexnet import weights
 from hnf_core.material.alexnet.network import CONTRAST_FLOOR, LEVEL_AT, OUTPUTS, target_outputs, token_values
 from hnf_core.material.alexnet.reading import describe_by_alexnet
 from hnf_core.material.alexnet.weights import load_encoder, save_encoder
@@ -165,6 +166,22 @@ def test_what_is_no_encoder_is_named(tmp_path):
         encoder_by_name("alex")
     with pytest.raises(UsageError, match="prior maps"):
         default_encoder(Route.PRIOR)
+
+
+def test_where_the_network_was_left_out_nothing_else_takes_its_place(tmp_path, monkeypatch):
+    monkeypatch.setattr(weights, "DEFAULT_ENCODER", tmp_path / "encoder.safetensors")
+    for asked in (
+        load_encoder,
+        lambda: encoder_by_name(ALEXNET_ID),
+        lambda: default_encoder(Route.PREDICTED, ENCODER_NAMES),
+    ):
+        with pytest.raises(MaterialError, match=rf"{ALEXNET_ID} is not part of the Blender extension") as caught:
+            asked()
+        assert ENCODER_ID in caught.value.remedy
+        assert "data/encoder.safetensors" in caught.value.remedy
+    save_encoder(tmp_path / "copy.safetensors", NETWORK)
+    assert encoder_by_name(str(tmp_path / "copy.safetensors")).name == ALEXNET_ID
+    assert default_encoder(Route.PREDICTED).name == ENCODER_ID
 
 
 def test_views_of_one_patch_make_one_token():
