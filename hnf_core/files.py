@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import tempfile
 from collections.abc import Callable
@@ -70,15 +69,6 @@ def write_text(path: Path, text: str) -> None:
 
 def _dump(path: Path, data: bytes) -> None:
     path.write_bytes(data)
-
-
-def sorted_safetensors(data: bytes) -> bytes:
-    """A safetensors file with its header sorted: the library writes metadata in random order; equal content gives
-    equal bytes."""
-    size = int.from_bytes(data[:8], "little")
-    header = json.dumps(json.loads(data[8 : 8 + size]), sort_keys=True, separators=(",", ":")).encode()
-    header += b" " * (-len(header) % 8)
-    return len(header).to_bytes(8, "little") + header + data[8 + size :]
 
 
 def content_hash(*parts: bytes | str) -> str:

@@ -18,6 +18,7 @@ from ..errors import FileError, UsageError
 from ..files import write_bytes
 from ..simulation.classes import category_of, classes
 from ..tactile.views import PITCHES_M
+from ..tensor_file import packed, unpacked
 
 FORMAT = "hnf-tactile-pairs-1"
 TRAIN, HELD_OUT_INSTANCES, HELD_OUT_CLASSES = SPLITS = ("train", "held-out-instances", "held-out-classes")
@@ -107,34 +108,21 @@ def shard_path(folder: Path, split: str, index: int) -> Path:
 def save_shard(path: Path, pairs: Pairs, *, shards: int, key: str) -> None:
     """Write one shard atomically; equal pairs give equal bytes. shards: how many its split has. key: of the recipe
     that made it, so that shards of different recipes never mix. Raises FileError."""
-    from safetensors.numpy import save
-
     metadata = {"format": FORMAT, "shards": str(shards), "key": key, "class_name": json.dumps(pairs.class_name)}
     tensors = {name: np.ascontiguousarray(getattr(pairs, name)) for name in _ARRAYS}
-    write_bytes(path, _sorted_header(save(tensors, metadata=metadata)))
-
-
-def _sorted_header(data: bytes) -> bytes:
-    """safetensors writes metadata in random order."""
-    size = int.from_bytes(data[:8], "little")
-    header = json.dumps(json.loads(data[8 : 8 + size]), sort_keys=True, separators=(",", ":")).encode()
-    header += b" " * (-len(header) % 8)
-    return len(header).to_bytes(8, "little") + header + data[8 + size :]
+    write_bytes(path, packed(tensors, metadata))
 
 
 def load_shard(path: Path) -> tuple[Pairs, int, str]:
     """The pairs of one shard, how many shards its split has, and the recipe's key. Raises FileError."""
-    from safetensors import SafetensorError, safe_open
-
     try:
-        with safe_open(path, framework="numpy") as file:
-            metadata = file.metadata() or {}
-            if metadata.get("format") != FORMAT:
-                raise ValueError(f"format {metadata.get('format')!r}, not {FORMAT!r}")
-            arrays = {name: file.get_tensor(name) for name in _ARRAYS}
-            pairs = Pairs(class_name=tuple(json.loads(metadata["class_name"])), **arrays)
-            shards, key = int(metadata["shards"]), metadata["key"]
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
+        tensors, metadata = unpacked(path.read_bytes())
+        if metadata.get("format") != FORMAT:
+            raise ValueError(f"format {metadata.get('format')!r}, not {FORMAT!r}")
+        arrays = {name: tensors[name] for name in _ARRAYS}
+        pairs = Pairs(class_name=tuple(json.loads(metadata["class_name"])), **arrays)
+        shards, key = int(metadata["shards"]), metadata["key"]
+    except (OSError, KeyError, TypeError, ValueError) as error:
         raise FileError(f"no readable shard of tactile pairs ({error}).", where=str(path), remedy=_AGAIN) from error
     return pairs, shards, key
 

@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import FileError, WeightsError
-from ..files import content_hash, write_bytes
+from ..errors import WeightsError
+from ..files import write_bytes
 from ..material.material import Appearance, LibraryMaterial
 from ..material.mechanics import Mechanics
 from ..material.token import ENCODER_ID, TOKEN_DIM
+from ..tensor_file import packed
+from ..weights_file import Kind, read_weights
 from .carriers import Carriers
 from .field import Field, FieldConfig
 from .ranges import MECHANICS_NAMES, SECTORS, Given, Ranges
@@ -26,15 +28,15 @@ HELD_OUT_WEIGHTS = DEFAULT_WEIGHTS.with_name("field-held-out.safetensors")
 """Trained without a class of every category (metadata held_out), for evaluation only."""
 FORMAT = "hnf-field-1"
 _TOKEN_LOW, _TOKEN_HIGH = "ranges.token_low", "ranges.token_high"
-_RETRAIN = "Train it again with this version, or choose other weights."
+_KIND = Kind(
+    "weights", FORMAT, "these are not field weights", "Train it again with this version, or choose other weights."
+)
 
 
 def save_field(path: Path, field: Field) -> None:
     """Write parameters, ranges and metadata atomically. field.metadata (training data, seed, metrics, licence, all
     text) is kept, with the encoders of the tokens it was trained on (where it names none, the library's); format,
     architecture and ranges are added. Raises FileError."""
-    from safetensors.numpy import save
-
     tensors = {name: np.ascontiguousarray(value, dtype=np.float32) for name, value in field.parameters.items()}
     metadata = {
         "encoder": ENCODER_ID,
@@ -45,7 +47,7 @@ def save_field(path: Path, field: Field) -> None:
     if field.ranges is not None:
         tensors[_TOKEN_LOW], tensors[_TOKEN_HIGH] = field.ranges.token_low, field.ranges.token_high
         metadata["ranges"] = json.dumps(_ranges_record(field.ranges))
-    write_bytes(path, _canonical(save(tensors, metadata=metadata)))
+    write_bytes(path, packed(tensors, metadata))
 
 
 def encoders_of(metadata: Mapping[str, str]) -> tuple[str, ...]:
@@ -70,14 +72,6 @@ def refuse_other_encoders(field: Field, names: Iterable[str], where: str = "") -
             where=where,
             remedy="Choose an encoder that the field knows, or weights trained on this one's tokens.",
         )
-
-
-def _canonical(data: bytes) -> bytes:
-    """The file with its header sorted: safetensors writes metadata in random order; equal fields give equal bytes."""
-    size = int.from_bytes(data[:8], "little")
-    header = json.dumps(json.loads(data[8 : 8 + size]), sort_keys=True, separators=(",", ":")).encode()
-    header += b" " * (-len(header) % 8)
-    return len(header).to_bytes(8, "little") + header + data[8 + size :]
 
 
 def load_field(path: Path | str | None = None) -> Field:
@@ -115,49 +109,17 @@ def _load(path: Path) -> Field:
 
 
 def _read(path: Path) -> Field:
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise FileError(
-            f"cannot read weights ({error.strerror}).", where=str(path), remedy="Check the path."
-        ) from error
-    tensors, metadata = _parse(path, data)
-    if metadata.get("format") != FORMAT:
-        found = metadata.get("format", "no format")
-        raise WeightsError(f"these are not field weights ({found}, not {FORMAT}).", where=str(path), remedy=_RETRAIN)
-    if ENCODER_ID not in encoders_of(metadata):
-        raise WeightsError(
-            f"trained on tokens of encoder {metadata.get('encoder')!r}, but tokens here come from {ENCODER_ID!r}.",
-            where=str(path),
-            remedy=_RETRAIN,
+    file = read_weights(path, _KIND)
+    if ENCODER_ID not in encoders_of(file.metadata):
+        raise file.refused(
+            f"trained on tokens of encoder {file.metadata.get('encoder')!r}, but tokens here come from {ENCODER_ID!r}."
         )
-    try:
-        config = _config(json.loads(metadata["architecture"]))
-        ranges = _ranges(metadata, tensors)
-    except (KeyError, TypeError, ValueError) as error:
-        raise WeightsError(f"unreadable description ({error}).", where=str(path), remedy=_RETRAIN) from error
-    parameters = {name: value for name, value in tensors.items() if name not in (_TOKEN_LOW, _TOKEN_HIGH)}
-    shapes = {name: value.shape for name, value in parameters.items()}
-    if shapes != config.shapes():
-        wrong = sorted(set(shapes.items()) ^ set(config.shapes().items()))
-        raise WeightsError(f"parameters do not fit the architecture: {wrong[:3]}.", where=str(path), remedy=_RETRAIN)
-    if not all(value.dtype == np.float32 and np.isfinite(value).all() for value in tensors.values()):
-        raise WeightsError("parameters are not all finite float32.", where=str(path), remedy=_RETRAIN)
-    return Field(config, parameters, ranges, metadata, content_hash(data))
-
-
-def _parse(path: Path, data: bytes) -> tuple[dict[str, NDArray[np.float32]], dict[str, str]]:
-    from safetensors import SafetensorError
-    from safetensors.numpy import load
-
-    try:
-        tensors = load(data)
-        header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
-    except (SafetensorError, ValueError, KeyError, TypeError) as error:
-        raise WeightsError(
-            f"damaged or not a safetensors file ({error}).", where=str(path), remedy="Get the file again."
-        ) from error
-    return tensors, dict(header.get("__metadata__", {}))
+    config = file.described(lambda metadata: _config(json.loads(metadata["architecture"])))
+    ranges = file.described(lambda metadata: _ranges(metadata, file.tensors))
+    bounds = {} if ranges is None else {_TOKEN_LOW: (TOKEN_DIM,), _TOKEN_HIGH: (TOKEN_DIM,)}
+    tensors = file.parameters({**config.shapes(), **bounds}, np.float32)
+    parameters = {name: value for name, value in tensors.items() if name not in bounds}
+    return Field(config, parameters, ranges, file.metadata, file.content_id)
 
 
 def _config(record: Mapping[str, Any]) -> FieldConfig:

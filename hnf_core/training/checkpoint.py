@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..files import write_bytes
+from ..tensor_file import packed, unpacked
 
 FORMAT = "hnf-checkpoint-1"
 
@@ -27,27 +27,20 @@ class Checkpoint:
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint, fingerprint: str) -> None:
     """Atomically; fingerprint names the run that it belongs to. Raises FileError."""
-    from safetensors.numpy import save
-
     tensors = {name: np.ascontiguousarray(value) for name, value in checkpoint.tensors.items()}
     tensors["history"] = checkpoint.history
     metadata = {"format": FORMAT, "fingerprint": fingerprint, "epoch": str(checkpoint.epoch)}
-    write_bytes(path, save(tensors, metadata=metadata))
+    write_bytes(path, packed(tensors, metadata))
 
 
 def load_checkpoint(path: Path, fingerprint: str) -> Checkpoint | None:
     """The checkpoint of this very run, or None: there is none, it is damaged, or it belongs to other data, another
     architecture or another seed (each is as good as starting anew)."""
-    from safetensors import SafetensorError
-    from safetensors.numpy import load
-
     try:
-        data = path.read_bytes()
-        tensors = load(data)
-        metadata = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])["__metadata__"]
+        tensors, metadata = unpacked(path.read_bytes())
         if metadata["format"] != FORMAT or metadata["fingerprint"] != fingerprint:
             return None
         history = tensors.pop("history")
         return Checkpoint(int(metadata["epoch"]), tensors, history)
-    except (OSError, SafetensorError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError):
         return None

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..errors import FileError
 from ..files import write_bytes
 from ..material.mechanics import PROBES, Mechanics
+from ..tensor_file import packed, unpacked
 from .conditions import Steady, steady_strokes
 from .recordings import record
 from .surfaces import Specimen, class_specimens, library_specimens, patches, random_surfaces
@@ -125,8 +126,6 @@ _COLUMNS = ("surface", "stiffness", "damping", "friction", "probe", "speed", "an
 
 def save_gathered(path: Path, gathered: Gathered) -> None:
     """Write as safetensors. Every stroke's mechanics must be known. Raises FileError."""
-    from safetensors.numpy import save
-
     table = np.array(
         [
             (s.surface, s.mechanics.stiffness_n_m, s.mechanics.damping_ratio, s.mechanics.friction,
@@ -142,23 +141,21 @@ def save_gathered(path: Path, gathered: Gathered) -> None:
         "power": gathered.power,
     }
     metadata = {"names": "\n".join(gathered.names), "classes": "\n".join(gathered.classes)}
-    write_bytes(path, save(tensors, metadata=metadata))
+    write_bytes(path, packed(tensors, metadata))
 
 
 def load_gathered(path: Path) -> Gathered:
     """What save_gathered wrote. Raises FileError where it cannot be read."""
-    from safetensors import SafetensorError, safe_open
-
     try:
-        with safe_open(path, framework="numpy") as file:
-            tensors = {name: file.get_tensor(name) for name in ("material", "tokens", "strokes", "power")}
-            names, classes = (tuple(file.metadata()[key].split("\n")) for key in ("names", "classes"))
-    except (OSError, SafetensorError, KeyError, TypeError) as error:
+        tensors, metadata = unpacked(path.read_bytes())
+        material, tokens, table, power = (tensors[name] for name in ("material", "tokens", "strokes", "power"))
+        names, classes = (tuple(metadata[key].split("\n")) for key in ("names", "classes"))
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise FileError(
             f"no gathered strokes ({error}).", where=str(path), remedy="Delete it to simulate again."
         ) from error
     strokes = []
-    for row in tensors["strokes"]:
+    for row in table:
         each = dict(zip(_COLUMNS, row, strict=True))
         strokes.append(
             Steady(
@@ -171,4 +168,4 @@ def load_gathered(path: Path) -> Gathered:
                 start=(float(each["start_x"]), float(each["start_y"])),
             )
         )
-    return Gathered(names, classes, tensors["material"], tensors["tokens"], tuple(strokes), tensors["power"])
+    return Gathered(names, classes, material, tokens, tuple(strokes), power)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..errors import FileError
 from ..field.field import FieldConfig
 from ..files import write_bytes
+from ..tensor_file import packed, unpacked
 from .conditions import Condition, Steady
 from .fit import Likelihood, network_inputs
 from .model import FieldNetwork
@@ -111,25 +112,20 @@ def _rms(level: Float, inside: NDArray[np.bool_]) -> Float:
 
 def save_references(path: Path, references: References) -> None:
     """Write as safetensors: what was simulated, not the specimens. Raises FileError."""
-    from safetensors.numpy import save
-
     tensors: dict[str, NDArray[Any]] = {
         "tokens": references.tokens,
         "spectra": references.spectra,
         "scatter_db": references.scatter_db,
     }
-    write_bytes(path, save(tensors))
+    write_bytes(path, packed(tensors))
 
 
 def load_references(path: Path, specimens: Sequence[Specimen], conditions: Sequence[Condition]) -> References:
     """What save_references wrote for these specimens and conditions. Raises FileError where it does not fit."""
-    from safetensors import SafetensorError
-    from safetensors.numpy import load
-
     try:
-        tensors = load(path.read_bytes())
+        tensors, _ = unpacked(path.read_bytes())
         found = References(tuple(specimens), tuple(conditions), **tensors)
-    except (OSError, SafetensorError, TypeError) as error:
+    except (OSError, ValueError, TypeError) as error:
         raise FileError(f"no references ({error}).", where=str(path), remedy="Delete it to simulate again.") from error
     if found.spectra.shape[:2] != (len(specimens), len(conditions)):
         raise FileError("references of other materials.", where=str(path), remedy="Delete it to simulate again.")

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from torch import Tensor
 
-from ..errors import FileError, WeightsError
+from ..errors import WeightsError
+from ..weights_file import read_limited
 
 SUFFIX = ".safetensors"
 
@@ -30,10 +31,7 @@ def read_state_dict(path: Path, network: str) -> tuple[dict[str, Tensor], str]:
             where=str(path),
             remedy=remedy,
         )
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise FileError(f"cannot read the trunk ({error.strerror}).", where=str(path), remedy=remedy) from error
+    data = read_limited(path, "the trunk", remedy)
     try:
         return load(data), hashlib.sha256(data).hexdigest()
     except (SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:

@@ -9,7 +9,8 @@ from typing import Any
 from numpy.typing import NDArray
 
 from ...errors import FileError
-from ...files import content_hash, sorted_safetensors, write_bytes
+from ...files import content_hash, write_bytes
+from ...tensor_file import packed, unpacked
 
 Arrays = Mapping[str, NDArray[Any]]
 VERSION = 1
@@ -29,15 +30,12 @@ class Kept:
         """
         if self._folder is None:
             return make()
-        from safetensors import SafetensorError
-        from safetensors.numpy import load, save
-
         path = self._folder / f"{content_hash(str(VERSION), name)}.safetensors"
         try:
-            return load(path.read_bytes())
+            return unpacked(path.read_bytes())[0]
         except FileNotFoundError:
             made = dict(make())
-            write_bytes(path, sorted_safetensors(save(made)))
+            write_bytes(path, packed(made))
             return made
-        except (OSError, SafetensorError) as error:
+        except (OSError, ValueError) as error:
             raise FileError(f"cannot be read ({error}).", where=str(path), remedy="Delete it.") from error

@@ -12,15 +12,22 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import FileError, WeightsError
-from ...files import content_hash, sorted_safetensors, write_bytes
+from ...errors import WeightsError
+from ...files import write_bytes
+from ...tensor_file import packed
+from ...weights_file import Kind, read_weights
 from ..optics import SENSORS
 from .config import DIFFUSION, HEADS, REGRESSION, MapConfig
 from .network import Network, network_of
 
 DEFAULT_WEIGHTS = Path(__file__).parents[2] / "data" / "tactile-map.safetensors"
 FORMAT = "hnf-tactile-map-1"
-_RETRAIN = "Train it again with `hnf train tactile-map`, or choose other weights."
+_KIND = Kind(
+    "weights",
+    FORMAT,
+    "not weights of tactile maps",
+    "Train it again with `hnf train tactile-map`, or choose other weights.",
+)
 
 
 @dataclass(frozen=True)
@@ -43,15 +50,13 @@ def save_map_weights(
 
     Raises FileError, and WeightsError for parameters that half precision cannot hold.
     """
-    from safetensors.numpy import save
-
     with np.errstate(over="ignore"):
         tensors = {name: np.ascontiguousarray(value, dtype=np.float16) for name, value in parameters.items()}
     beyond = [name for name, value in tensors.items() if not np.isfinite(value).all()]
     if beyond:
-        raise WeightsError(f"{beyond[0]} is not finite in half precision.", where=str(path), remedy=_RETRAIN)
+        raise WeightsError(f"{beyond[0]} is not finite in half precision.", where=str(path), remedy=_KIND.again)
     header = {**metadata, "format": FORMAT, "architecture": json.dumps(dataclasses.asdict(config), sort_keys=True)}
-    write_bytes(path, sorted_safetensors(save(tensors, metadata=header)))
+    write_bytes(path, packed(tensors, header))
 
 
 def load_map_weights(path: Path | str | None = None) -> MapWeights:
@@ -69,38 +74,14 @@ def _default() -> MapWeights:
 
 
 def _read(path: Path) -> MapWeights:
-    from safetensors import SafetensorError
-    from safetensors.numpy import load
+    file = read_weights(path, _KIND)
+    config, shapes = file.described(_architecture)
+    return MapWeights(network_of(config, file.parameters(shapes)), file.metadata, file.content_id)
 
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise FileError(
-            f"cannot read weights ({error.strerror}).", where=str(path), remedy="Check the path."
-        ) from error
-    try:
-        tensors = load(data)
-        metadata = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")]).get("__metadata__", {})
-    except (SafetensorError, ValueError, KeyError, TypeError) as error:
-        raise WeightsError(
-            f"damaged or not a safetensors file ({error}).", where=str(path), remedy="Get the file again."
-        ) from error
-    if metadata.get("format") != FORMAT:
-        found = metadata.get("format", "no format")
-        raise WeightsError(f"not weights of tactile maps ({found}, not {FORMAT}).", where=str(path), remedy=_RETRAIN)
-    try:
-        config = _config(metadata["architecture"])
-        shapes = config.shapes()
-    except (KeyError, TypeError, ValueError) as error:
-        raise WeightsError(f"unreadable description ({error}).", where=str(path), remedy=_RETRAIN) from error
-    found_shapes = {name: value.shape for name, value in tensors.items()}
-    if found_shapes != shapes:
-        wrong = sorted(set(found_shapes.items()) ^ set(shapes.items()))
-        raise WeightsError(f"parameters do not fit the architecture: {wrong[:3]}.", where=str(path), remedy=_RETRAIN)
-    parameters = {name: value.astype(np.float32) for name, value in tensors.items()}
-    if not all(np.isfinite(value).all() for value in parameters.values()):
-        raise WeightsError("parameters are not all finite.", where=str(path), remedy=_RETRAIN)
-    return MapWeights(network_of(config, parameters), dict(metadata), content_hash(data))
+
+def _architecture(metadata: Mapping[str, str]) -> tuple[MapConfig, Mapping[str, tuple[int, ...]]]:
+    config = _config(metadata["architecture"])
+    return config, config.shapes()
 
 
 def _config(text: str) -> MapConfig:

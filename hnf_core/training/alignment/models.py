@@ -9,10 +9,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from ...errors import FileError, WeightsError
 from ...files import write_bytes, write_text
+from ...tensor_file import packed, unpacked
 from .encoders import Architecture, Encoder
 from .train import Fitted, Recipe
 
@@ -38,12 +40,10 @@ class Models:
 def save_models(folder: Path, fitted: Fitted, recipe: Recipe, told: Mapping[str, Any]) -> Mapping[str, Any]:
     """Write vision.safetensors, touch.safetensors and RECORD, which holds what is `told` (sensor: …), the recipe, the
     curve of the loss and the weights' checksums; return the record. Raises FileError."""
-    from safetensors.torch import save
-
     sums = {}
     for name, encoder in (("vision", fitted.vision), ("touch", fitted.touch)):
-        tensors = {key: value.contiguous() for key, value in encoder.state_dict().items()}
-        data = save(tensors, metadata={"format": FORMAT, "encoder": name})
+        tensors = {key: value.contiguous().numpy() for key, value in encoder.state_dict().items()}
+        data = packed(tensors, {"format": FORMAT, "encoder": name})
         write_bytes(folder / f"{name}.safetensors", data)
         sums[name] = hashlib.sha256(data).hexdigest()
     curve = fitted.history[_spread(len(fitted.history), 50)]
@@ -58,9 +58,6 @@ def save_models(folder: Path, fitted: Fitted, recipe: Recipe, told: Mapping[str,
 
 def load_models(folder: Path) -> Models:
     """Raises FileError where the folder holds no such weights, WeightsError where they do not fit the record."""
-    from safetensors import SafetensorError
-    from safetensors.torch import load
-
     try:
         record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
         if record["format"] != FORMAT:
@@ -69,10 +66,10 @@ def load_models(folder: Path) -> Models:
         shape = recipe["architecture"]
         architecture = Architecture(tuple(shape["blocks"]), int(shape["width"]), int(shape["outputs"]))
         data = {name: (folder / f"{name}.safetensors").read_bytes() for name in ("vision", "touch")}
-        states = {name: load(each) for name, each in data.items()}
+        states = {name: unpacked(each)[0] for name, each in data.items()}
         sums, pixels = record["sha256"], int(recipe["pixels"])
         str(record["sensor"])
-    except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise FileError(
             f"these are no aligned encoders ({error}).", where=str(folder), remedy="Train them: hnf train alignment."
         ) from error
@@ -84,7 +81,7 @@ def load_models(folder: Path) -> Models:
             )
         encoder = Encoder(architecture)
         try:
-            encoder.load_state_dict(state)
+            encoder.load_state_dict({key: torch.from_numpy(np.array(value)) for key, value in state.items()})
         except RuntimeError as error:
             raise WeightsError(f"{name}.safetensors does not fit its record.", where=str(folder)) from error
         encoders[name] = encoder.to(memory_format=torch.channels_last).eval()  # type: ignore[call-overload]

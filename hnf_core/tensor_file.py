@@ -1,0 +1,40 @@
+"""Arrays by name ↔ the bytes of a safetensors file: data alone, nothing that runs when it is read."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from numpy.typing import NDArray
+
+
+def packed(tensors: Mapping[str, NDArray[Any]], metadata: Mapping[str, str] | None = None) -> bytes:
+    """A whole file. Equal content gives equal bytes."""
+    from safetensors.numpy import save
+
+    return _with_sorted_header(save(dict(tensors), metadata=None if metadata is None else dict(metadata)))
+
+
+def unpacked(data: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+    """Arrays (not to be written into) and metadata of a whole file.
+
+    Raises ValueError where it is damaged, something else, or holds numbers that numpy does not know.
+    """
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
+    try:
+        tensors = load(data)
+        header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
+        return tensors, dict(header.get("__metadata__", {}))
+    except (SafetensorError, ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"damaged or not a safetensors file ({error})") from error
+
+
+def _with_sorted_header(data: bytes) -> bytes:
+    # The library writes metadata in random order.
+    size = int.from_bytes(data[:8], "little")
+    header = json.dumps(json.loads(data[8 : 8 + size]), sort_keys=True, separators=(",", ":")).encode()
+    header += b" " * (-len(header) % 8)
+    return len(header).to_bytes(8, "little") + header + data[8 + size :]

@@ -1,0 +1,97 @@
+"""Weights from a file, checked on the way in: its size, its format, and that every number can be used."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import FileError, WeightsError
+from .files import content_hash
+from .tensor_file import unpacked
+
+T = TypeVar("T")
+
+LARGEST = 1 << 30
+"""Bytes of a file: ten times the largest network that is read here, a ResNet-50."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One sort of weights. name: as in "cannot read the encoder". format: what metadata["format"] must say. foreign:
+    what is said of a file of another format. again: how a good file is come by."""
+
+    name: str
+    format: str
+    foreign: str
+    again: str
+
+
+@dataclass(frozen=True)
+class WeightsFile:
+    """tensors: as they are stored, unchecked. metadata: all text. content_id: of the file's bytes."""
+
+    path: Path
+    kind: Kind
+    tensors: Mapping[str, NDArray[Any]]
+    metadata: Mapping[str, str]
+    content_id: str
+
+    def refused(self, what: str) -> WeightsError:
+        """To raise where the file cannot be used."""
+        return WeightsError(what, where=str(self.path), remedy=self.kind.again)
+
+    def described(self, read: Callable[[Mapping[str, str]], T]) -> T:
+        """What read makes of the metadata. Raises WeightsError where it raises KeyError, TypeError or ValueError."""
+        try:
+            return read(self.metadata)
+        except (KeyError, TypeError, ValueError) as error:
+            raise self.refused(f"unreadable description ({error}).") from error
+
+    def parameters(
+        self, shapes: Mapping[str, tuple[int, ...]], stored: type[np.floating[Any]] = np.floating
+    ) -> dict[str, NDArray[np.float32]]:
+        """All tensors, in float32. Raises WeightsError unless names and shapes are exactly these, and all numbers of
+        type stored and finite in float32."""
+        found = {name: tuple(value.shape) for name, value in self.tensors.items()}
+        wrong = sorted(set(found.items()) ^ set(shapes.items()))
+        if wrong:
+            raise self.refused(f"parameters do not fit the architecture: {wrong[:3]}.")
+        out = {}
+        for name, value in self.tensors.items():
+            if not np.issubdtype(value.dtype, stored):
+                raise self.refused(f"{name} is {value.dtype}, not {stored.__name__}.")
+            with np.errstate(over="ignore"):
+                out[name] = value.astype(np.float32)
+            if not np.isfinite(out[name]).all():
+                raise self.refused(f"{name} is not all finite.")
+        return out
+
+
+def read_weights(path: Path, kind: Kind) -> WeightsFile:
+    """Raises FileError where there is no file, WeightsError where it is damaged, too large, or of another format."""
+    data = read_limited(path, kind.name, "Check the path.")
+    try:
+        tensors, metadata = unpacked(data)
+    except ValueError as error:
+        raise WeightsError(f"{error}.", where=str(path), remedy="Get the file again.") from error
+    file = WeightsFile(path, kind, tensors, metadata, content_hash(data))
+    if metadata.get("format") != kind.format:
+        found = metadata.get("format", "no format")
+        raise file.refused(f"{kind.foreign} ({found}, not {kind.format}).")
+    return file
+
+
+def read_limited(path: Path, name: str, remedy: str) -> bytes:
+    """A file of weights whole. name: what it is, for the message. Raises FileError where it cannot be read,
+    WeightsError where it is larger than LARGEST: of that nothing is read."""
+    try:
+        if path.stat().st_size > LARGEST:
+            raise WeightsError(f"larger than any weights ({LARGEST >> 20} MiB).", where=str(path), remedy=remedy)
+        return path.read_bytes()
+    except OSError as error:
+        raise FileError(f"cannot read {name} ({error.strerror}).", where=str(path), remedy=remedy) from error
