@@ -13,7 +13,8 @@ def packed(tensors: Mapping[str, NDArray[Any]], metadata: Mapping[str, str] | No
     """A whole file. Equal content gives equal bytes."""
     from safetensors.numpy import save
 
-    return _with_sorted_header(save(dict(tensors), metadata=None if metadata is None else dict(metadata)))
+    # The library's header is no JSON where it is given empty metadata beside no tensors.
+    return _with_sorted_header(save(dict(tensors), metadata=dict(metadata) if metadata else None))
 
 
 def unpacked(data: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:

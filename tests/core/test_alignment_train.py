@@ -117,6 +117,7 @@ def test_weights_come_back_and_damaged_ones_do_not(tuples, tmp_path: Path) -> No
     assert (back.sensor, back.pixels) == ("both", 32)
     assert_same(weights(fitted), weights(back))
     assert json.loads((tmp_path / "alignment.json").read_text())["sha256"] == record["sha256"]
+    assert save_models(tmp_path / "again", fitted, RECIPE, {"sensor": "both"}) == record
     data = bytearray((tmp_path / "touch.safetensors").read_bytes())
     data[-1] ^= 1
     (tmp_path / "touch.safetensors").write_bytes(data)
