@@ -20,7 +20,7 @@ NOTHING_LEVEL = SMOOTH_LEVEL + 0.3
 """2 nm RMS: the floor of the descriptor."""
 CERTAINTY = {Route.MEASURED: 1.0, Route.PREDICTED: 0.5}
 """What a band that a map told is worth. What was estimated from a picture is never worth what was read off a relief,
-and one picture fits many reliefs; docs/see.md has the errors."""
+and one picture fits many reliefs; docs/tactile-maps-evaluation.md has the errors."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,8 @@ class FusedToken:
 
 
 def fuse(told: Token | None, prior: ArrayLike, prior_confidence: float, route: Route = Route.MEASURED) -> FusedToken:
-    """Bands that a map tells stay as they are, the others come from the prior (TOKEN_DIM,), a library token.
+    """Bands that a measured map tells stay as they are, those of a predicted one meet the prior (see weight_of), the
+    others come from the prior (TOKEN_DIM,), a library token.
 
     told: of the patch's tactile map; None where there is none, then everything is prior. route: how that map came to be
     known. Of a measured one the bands that are drawn in it count (see drawn_bands); of a predicted one all that it
@@ -50,20 +51,33 @@ def fuse(told: Token | None, prior: ArrayLike, prior_confidence: float, route: R
     if told is not None:
         bands = drawn_bands(told) if route is Route.MEASURED else known_bands_of(told)
     shape_told = told is not None and bool(told.known[-len(SHAPE_FEATURES) :].all()) and any(bands)
+    guess = float(np.clip(prior_confidence, 0.0, 1.0))
     values = library.copy()
     if told is not None:
+        taken = np.zeros(TOKEN_DIM, dtype=bool)
         for band in range(BANDS):
-            if bands[band]:
-                values[band_slice(band)] = told.values[band_slice(band)]
-        if shape_told:
-            values[-len(SHAPE_FEATURES) :] = told.values[-len(SHAPE_FEATURES) :]
-    guess = float(np.clip(prior_confidence, 0.0, 1.0))
+            taken[band_slice(band)] = bands[band]
+        taken[-len(SHAPE_FEATURES) :] = shape_told
+        weight = np.float32(weight_of(route, guess))
+        values[taken] = weight * told.values[taken] + (np.float32(1.0) - weight) * values[taken]
     return FusedToken(
         values=values,
         routes=tuple(route if is_told else Route.PRIOR for is_told in bands),
         shape_route=route if shape_told else Route.PRIOR,
         confidence=(sum(bands) * CERTAINTY.get(route, guess) + (BANDS - sum(bands)) * guess) / BANDS,
     )
+
+
+def weight_of(route: Route, prior_confidence: float) -> float:
+    """How much of a band is what the map told, 0–1; the rest is the prior.
+
+    A relief that was read counts alone. A picture and a prior err independently of each other, and each speaks as loud
+    as it is sure: on classes never seen both together are nearer the truth than either alone (docs/
+    tactile-maps-evaluation.md).
+    """
+    if route is not Route.PREDICTED:
+        return 1.0
+    return CERTAINTY[route] / (CERTAINTY[route] + prior_confidence)
 
 
 def known_bands_of(token: Token) -> list[bool]:

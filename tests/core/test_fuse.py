@@ -69,11 +69,25 @@ def test_what_a_picture_shows_to_be_smooth_stays_smooth():
     """A predicted map stands for the whole surface: nothing in it is not nothing known."""
     prior = np.full(TOKEN_DIM, -5.0, dtype=np.float32)
     flat = measured_token(smooth_token_values(), [True] * 4 + [False] * 3, True)
-    fused = fuse(flat, prior, 0.1, route=Route.PREDICTED)
+    fused = fuse(flat, prior, 0.0, route=Route.PREDICTED)
     assert fused.routes == (Route.PREDICTED,) * 4 + (Route.PRIOR,) * 3
     assert fused.shape_route is Route.PREDICTED
     assert np.array_equal(fused.values[band_slice(3)], smooth_token_values()[band_slice(3)])
     assert np.array_equal(fused.values[band_slice(4)], prior[band_slice(4)])
+
+
+@settings(max_examples=50, deadline=None)
+@given(tokens, tokens, band_sets, confidences)
+def test_picture_and_prior_meet_where_each_is_as_loud_as_it_is_sure(values, prior, bands, confidence):
+    token = measured_token(values, bands, False)
+    fused = fuse(token, prior, confidence, route=Route.PREDICTED)
+    share = CERTAINTY[Route.PREDICTED] / (CERTAINTY[Route.PREDICTED] + confidence)
+    for band, told in enumerate(bands):
+        at = band_slice(band)
+        met = share * values[at] + (1.0 - share) * prior[at] if told else prior[at]
+        assert fused.routes[band] is (Route.PREDICTED if told else Route.PRIOR)
+        np.testing.assert_allclose(fused.values[at], met, rtol=1e-5, atol=1e-5)
+    assert np.array_equal(fused.values[-2:], prior[-2:])
 
 
 def test_a_predicted_band_is_worth_less_than_a_measured_one():

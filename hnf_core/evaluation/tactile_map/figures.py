@@ -28,7 +28,7 @@ Picture = NDArray[np.float64]
 SHOWN = (judge.DIFFUSION, judge.REGRESSION, judge.NEIGHBOUR, judge.GREY)
 COMPARED = (
     judge.DIFFUSION, judge.REGRESSION, judge.NEIGHBOUR, judge.CLASS_MEAN, judge.MEAN, judge.GREY,
-    judge.NO_DEPTH, judge.NO_COLOUR, judge.DIGIT,
+    judge.FUSED, judge.NO_DEPTH, judge.NO_COLOUR, judge.DIGIT,
 )  # fmt: skip
 SHORT = {judge.REGRESSION: "regression", judge.NEIGHBOUR: "neighbour", judge.GREY: "grey = height"}
 EXAMPLES = 5

@@ -11,9 +11,12 @@ from numpy.typing import NDArray
 from ...datasets.tactile_pairs import PAIR_SENSORS
 from ...field.field import Field
 from ...material.encoders import Encoder
-from ...material.token import LEVELS
+from ...material.fuse import fuse
+from ...material.prior import ALIKE
+from ...material.token import LEVELS, Token
 from ...simulation.classes import category_of
 from ...tactile.optics import sensor_by_name
+from ...tactile.tactile_map import Route
 from .image_quality import normal_angle_deg, psnr_db, rms_slope, ssim
 from .learned import Learned
 from .spectra import SpectrumError, log_mean, long_run_spectra, spectrum_error
@@ -28,8 +31,8 @@ NO_DEPTH, NO_COLOUR = "D_φ, depth unknown", "D_φ, colour unknown"
 DIGIT = "D_φ, DIGIT"
 NEIGHBOUR, GREY, FLAT = "nearest neighbour", "grey level is height", "flat (mean map)"
 CLASS_MEAN, MEAN = "class mean", "mean of all"
-HALFWAY = "D_φ and class mean, halfway"
-"""Their spectra averaged in dB: what knowing the kind of material would add to the picture."""
+FUSED = "D_φ fused with the category's token"
+"""As the product fuses a picture with a prior (material.fuse) that is of the right category and no more."""
 DARK = 1e-4
 """Least own range of a sensor image: below, it is flat to the eye, and to eight bits."""
 
@@ -71,15 +74,19 @@ def judge_spectra(field: Field, encoder: Encoder, tile: JudgedTile, maps: Maps, 
     """maps: any number of views from TOKEN_VIEWS on. learned: None leaves class mean and mean of all out."""
     pitches = [view.pitch_m for view in tile.views[:TOKEN_VIEWS]]
 
-    def token(slopes: Single, sensor: str = PAIR_SENSORS[0]) -> Single:
-        return token_of_slopes(list(slopes[:TOKEN_VIEWS]), pitches, sensor, encoder).values
+    def token(slopes: Single, sensor: str = PAIR_SENSORS[0]) -> Token:
+        return token_of_slopes(list(slopes[:TOKEN_VIEWS]), pitches, sensor, encoder)
 
-    truths = {sensor: token(tile.slopes[:, index], sensor) for index, sensor in enumerate(PAIR_SENSORS)}
+    truths = {sensor: token(tile.slopes[:, index], sensor).values for index, sensor in enumerate(PAIR_SENSORS)}
     first = PAIR_SENSORS[0]
-    tokens = {TRUTH: truths[first], WHOLE: tile.whole, FLOOR: token(tile.second)}
+    tokens = {TRUTH: truths[first], WHOLE: tile.whole, FLOOR: token(tile.second).values}
     against = dict.fromkeys(tokens, first)
     for name, (sensor, slopes) in maps.items():
-        tokens[name], against[name] = token(slopes, sensor), sensor
+        told = token(slopes, sensor)
+        tokens[name], against[name] = told.values, sensor
+        if name == DIFFUSION and learned is not None:
+            tokens[FUSED] = fuse(told, _token_of_category(tile, learned), ALIKE, Route.PREDICTED).values
+            against[FUSED] = sensor
     wanted = [*tokens.values(), *truths.values()]
     spectra = long_run_spectra(field, np.stack(wanted), [tile.mechanics] * len(wanted))
     truth = dict(zip(PAIR_SENSORS, spectra[len(tokens) :], strict=True))
@@ -87,9 +94,6 @@ def judge_spectra(field: Field, encoder: Encoder, tile: JudgedTile, maps: Maps, 
     if learned is not None:
         for name, mean in _means(field, tile, learned).items():
             errors[name] = spectrum_error(mean, truth[first])
-            if name == CLASS_MEAN and DIFFUSION in tokens:
-                both = log_mean(np.stack([mean, spectra[list(tokens).index(DIFFUSION)]]))
-                errors[HALFWAY] = spectrum_error(both, truth[first])
     bands = {
         name: 20.0 * (each[LEVELS].astype(np.float64) - truths[against[name]][LEVELS]) for name, each in tokens.items()
     }
@@ -131,11 +135,22 @@ def _means(field: Field, tile: JudgedTile, learned: Learned) -> dict[str, Float]
     of_class = {
         name: log_mean(spectra[[row for row, own in enumerate(learned.class_name) if own == name]]) for name in names
     }
-    same = [name for name in names if category_of(name) == tile.category]
     return {
-        CLASS_MEAN: log_mean(np.stack([of_class[name] for name in same or names])),
+        CLASS_MEAN: log_mean(np.stack([of_class[name] for name in _classes_like(tile, learned)])),
         MEAN: log_mean(np.stack(list(of_class.values()))),
     }
+
+
+def _token_of_category(tile: JudgedTile, learned: Learned) -> Single:
+    """Mean token of the training classes of the tile's category, classes alike; of all where training knows none."""
+    names = _classes_like(tile, learned)
+    rows = [[row for row, own in enumerate(learned.class_name) if own == name] for name in names]
+    return np.asarray(np.mean([learned.tokens[own].mean(axis=0) for own in rows], axis=0), dtype=np.float32)
+
+
+def _classes_like(tile: JudgedTile, learned: Learned) -> list[str]:
+    names = sorted(set(learned.class_name))
+    return [name for name in names if category_of(name) == tile.category] or names
 
 
 def picture_means(pictures: Sequence[Picture], method: str, sensor: str, pitch_m: float) -> dict[str, float]:

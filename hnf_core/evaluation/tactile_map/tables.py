@@ -19,7 +19,7 @@ from .statistics import Interval, mean_interval, ratio_interval
 
 ROWS = (
     judge.DIFFUSION, judge.REGRESSION, judge.NEIGHBOUR, judge.CLASS_MEAN, judge.MEAN, judge.GREY, judge.FLAT,
-    judge.HALFWAY, judge.NO_DEPTH, judge.NO_COLOUR, judge.DIGIT, judge.WHOLE, judge.FLOOR, judge.TRUTH,
+    judge.FUSED, judge.NO_DEPTH, judge.NO_COLOUR, judge.DIGIT, judge.WHOLE, judge.FLOOR, judge.TRUTH,
 )  # fmt: skip
 RIVALS = (judge.NEIGHBOUR, judge.CLASS_MEAN, judge.REGRESSION)
 AIM = 0.5
@@ -69,23 +69,24 @@ def vibration_table(split: str, results: Sequence[TileResult], seed: int) -> Ext
 
 
 def margin_table(split: str, results: Sequence[TileResult], seed: int) -> Extra:
-    """D_φ's excess over each rival's on the same tiles."""
+    """D_φ's excess over each rival's on the same tiles, alone and fused with what the category says."""
     rows, figures = [], {}
-    ours = excess(results, judge.DIFFUSION)
-    for rival in RIVALS:
-        if not any(rival in each.errors for each in results):
-            continue
-        theirs = excess(results, rival)
-        ratio, gain = ratio_interval(ours, theirs, seed), mean_interval(theirs - ours, seed)
-        aim = 1.0 if rival == judge.REGRESSION else AIM
-        rows.append((rival, ratio.words(), gain.words(), f"{aim:g}", "reached" if ratio.mean <= aim else "missed"))
-        figures[rival] = {"ratio": _figures(ratio), "gain_db": _figures(gain), "aim": aim}
+    for method in (judge.DIFFUSION, judge.FUSED):
+        for rival in RIVALS:
+            if not all(any(name in each.errors for each in results) for name in (method, rival)):
+                continue
+            ours, theirs = excess(results, method), excess(results, rival)
+            ratio, gain = ratio_interval(ours, theirs, seed), mean_interval(theirs - ours, seed)
+            aim = 1.0 if rival == judge.REGRESSION else AIM
+            reached = "reached" if ratio.mean <= aim else "missed"
+            rows.append((method, rival, ratio.words(), gain.words(), f"{aim:g}", reached))
+            figures[f"{method} / {rival}"] = {"ratio": _figures(ratio), "gain_db": _figures(gain), "aim": aim}
     told = "The aim is for held-out classes." if split != HELD_OUT_CLASSES else ""
     return Extra(
         f"margins, {split}",
         f"D_φ beside its rivals, {split}",
-        f"Ratio: D_φ's excess over the floor as a share of the rival's. Gain: the rival's error less D_φ's. {told}",
-        ("rival", "ratio of excess", "gain [dB]", "aim", ""),
+        f"Ratio: the excess over the floor as a share of the rival's. Gain: the rival's error less its own. {told}",
+        ("map", "rival", "ratio of excess", "gain [dB]", "aim", ""),
         tuple(rows),
         figures,
     )
