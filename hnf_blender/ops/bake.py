@@ -11,11 +11,10 @@ from hnf_core.errors import HnfError
 from ..jobs import current
 from ..props.scene import active_stroke, strokes_of
 from ..state.redraw import redraw_tab
-from ..state.session import STATE, LastJob
+from ..state.session import STATE, JobStatus, LastJob
 from ..translations import tr
 from ..ui.texts import job_text, left_text
-
-TICK_S = 0.1
+from .modal_job import ModalJob, no_job_runs
 
 
 class HNF_OT_plan(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
@@ -39,7 +38,7 @@ class HNF_OT_plan(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
         return {"FINISHED"}
 
 
-class HNF_OT_bake(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+class HNF_OT_bake(ModalJob, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     """The bake, in a second Blender. No REGISTER: adjusting it afterwards would bake anew."""
 
     bl_idname = "hnf.bake"
@@ -56,56 +55,21 @@ class HNF_OT_bake(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        if current.is_running():
-            cls.poll_message_set("A bake is running. Wait for it, or press Esc to cancel it.")
-            return False
-        return _has_strokes(cls, context)
+        return no_job_runs(cls) and _has_strokes(cls, context)
 
     def execute(self, context: Any) -> set[str]:
         from ..jobs.running import bake_in_line
 
-        try:
-            return self._end(context, bake_in_line(context.scene, context.view_layer, self._only(context)))
-        except HnfError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        return self.in_line(lambda: bake_in_line(context.scene, context.view_layer, self._only(context)))
 
     def invoke(self, context: Any, _event: Any) -> set[str]:
         if bpy.app.background:
             return self.execute(context)
-        try:
-            current.start(context.scene, context.view_layer, self._only(context))
-        except HnfError as error:
-            self.report({"ERROR"}, str(error))
+        if not self.begin_job(context, lambda: current.start(context.scene, context.view_layer, self._only(context))):
             return {"CANCELLED"}
-        manager = context.window_manager
-        self._timer = manager.event_timer_add(TICK_S, window=context.window)
-        manager.progress_begin(0.0, 1.0)
-        manager.modal_handler_add(self)
-        self._tell(context)
+        context.window_manager.progress_begin(0.0, 1.0)
+        context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
-
-    def modal(self, context: Any, event: Any) -> set[str]:
-        if not current.is_running():  # cancelled from elsewhere
-            return self._end(context, STATE.last_job)
-        if event.type == "ESC" and event.value == "PRESS":
-            current.cancel()
-            return self._end(context, STATE.last_job)
-        if event.type == "TIMER":
-            try:
-                ended = current.tick()
-            except BaseException:
-                self._end(context, None)
-                raise
-            if ended is not None:
-                return self._end(context, ended)
-            self._tell(context)
-        return {"PASS_THROUGH"}
-
-    def cancel(self, context: Any) -> None:
-        """Blender's own word: the window closes, or another file is opened."""
-        current.cancel()
-        self._end(context, None)
 
     def _only(self, context: Any) -> tuple[str, ...]:
         if not self.only_active:
@@ -115,27 +79,20 @@ class HNF_OT_bake(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
             raise HnfError("no stroke is active.", remedy="Select one, in the list or in the 3-D view.")
         return (stroke.name,)
 
-    def _tell(self, context: Any) -> None:
-        job = STATE.job
-        if job is None:
-            return
-        text = f"{tr('Touch bake')}: {job_text(job)}, {left_text(job)}.  {tr('Esc: cancel')}"
-        context.workspace.status_text_set(text)
-        context.window_manager.progress_update(job.done / max(1, job.total))
-        redraw_tab()
+    def job_line(self, job: JobStatus) -> str:
+        return f"{tr('Touch bake')}: {job_text(job)}, {left_text(job)}"
 
-    def _end(self, context: Any, ended: LastJob | None) -> set[str]:
-        """Take everything away that was put up; tell, and make an undo step where something was written."""
-        timer = getattr(self, "_timer", None)
-        if timer is not None:
-            self._timer = None
-            context.window_manager.event_timer_remove(timer)
-            context.window_manager.progress_end()
-            if context.workspace is not None:
-                context.workspace.status_text_set(None)
-        redraw_tab()
-        if ended is None:
-            return {"CANCELLED"}
+    def show(self, context: Any) -> None:
+        super().show(context)
+        if STATE.job is not None:
+            context.window_manager.progress_update(STATE.job.done / max(1, STATE.job.total))
+
+    def take_down(self, context: Any) -> None:
+        super().take_down(context)
+        context.window_manager.progress_end()
+
+    def tell_end(self, ended: LastJob) -> set[str]:
+        """An undo step where something was written."""
         if not (ended.ok or ended.written):
             self.report({"ERROR"}, ended.message)
             return {"CANCELLED"}
@@ -182,11 +139,8 @@ class HNF_OT_purge(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     )
 
     @classmethod
-    def poll(cls, context: Any) -> bool:
-        if current.is_running():
-            cls.poll_message_set("A bake is running. Wait for it, or press Esc to cancel it.")
-            return False
-        return True
+    def poll(cls, _context: Any) -> bool:
+        return no_job_runs(cls)
 
     def invoke(self, context: Any, event: Any) -> set[str]:
         return set(context.window_manager.invoke_props_dialog(self))
