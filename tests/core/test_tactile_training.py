@@ -105,17 +105,20 @@ def test_batches_have_unit_patterns_and_drop_what_they_should():
     np.testing.assert_allclose(10.0**batch.log_rms, np.sqrt((raw**2).mean(axis=(1, 2, 3))), rtol=1e-3)
 
 
-@pytest.mark.parametrize(("objective", "left"), [(DIFFUSION, 0.85), (REGRESSION, 0.4)])
-def test_eight_views_are_learned_by_heart(objective, left):
+# The level of a diffusion is one number a view, hidden in as much noise: it takes longer to learn.
+@pytest.mark.parametrize(
+    ("objective", "steps", "rate", "pattern", "level"),
+    [(DIFFUSION, 220, 1e-2, 0.7, 0.6), (REGRESSION, 90, 5e-3, 0.3, 0.2)],
+)
+def test_eight_views_are_learned_by_heart(objective, steps, rate, pattern, level):
+    """Untrained, both losses are 1 or next to it, and the sampled level 7.8 dB off."""
     pairs = synthetic_pairs(8)
-    plan = Plan(steps=90, batch=8, rate=5e-3, warm_up=10, ema=0.9, half=False, validate_views=8)
-    fitted = fit(pairs, {"seen": pairs}, plan, dataclasses.replace(TINY, objective=objective))
-    seen = fitted.distances["seen"]
-    assert seen.pattern_loss < left
-    # The level of a diffusion is one number a view, hidden in as much noise: it takes longer to learn.
-    assert seen.level_loss < (1.3 if objective == DIFFUSION else left)
+    plan = Plan(steps=steps, batch=8, rate=rate, warm_up=10, ema=0.9, half=False, validate_views=8)
+    seen = fit(pairs, {"seen": pairs}, plan, dataclasses.replace(TINY, objective=objective)).distances["seen"]
+    assert seen.pattern_loss < pattern
+    assert seen.level_loss < level
     assert seen.level_db is not None
-    assert seen.level_db < (12.0 if objective == DIFFUSION else 5.0)
+    assert seen.level_db < 3.0
 
 
 def test_killed_and_resumed_is_as_never_killed(tmp_path):
