@@ -23,7 +23,7 @@ from .report import Counts
 
 Float = NDArray[np.float64]
 
-WIDTH, HEIGHT = 960, 540
+WIDTH, HEIGHT = 768, 432
 SAMPLES = 6
 """Enough under a denoiser; a picture says where the stroke is, it is no final render."""
 SAMPLES_UNDENOISED = 24
