@@ -9,10 +9,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..errors import HnfError, UsageError
+from ..errors import UsageError
 from .eval_alignment import add_parser as _add_alignment
 from .eval_tactile_map import add_parser as _add_tactile_map
 from .progress import Progress, ProgressBar
+from .train_needs import torch_for
 
 SUBJECTS: tuple[Callable[[Any], object], ...] = (_add_alignment, _add_tactile_map)
 """What else can be measured: each adds a parser that names its own runner as the default of `run`."""
@@ -52,13 +53,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("hnf eval writes a report and pictures.", remedy="Say where: --out DIR.")
     if arguments.workers < 1 or arguments.seed < 0 or arguments.textures < 0 or not 5.0 <= arguments.seconds <= 1e4:
         raise UsageError("--workers must be at least 1, --seed and --textures 0, --seconds 5.")
-    try:
+    with torch_for("evaluation trains its methods and"):
         from ..training import material  # noqa: F401
-    except ImportError as error:
-        raise HnfError(
-            f"evaluation trains its methods and needs torch ({error}).",
-            remedy="Install the extra: pip install 'hnf[train]'.",
-        ) from error
     from ..evaluation.methods import Budget
     from ..evaluation.run import QUICK, SIMULATED, Options, run_evaluation
     from ..evaluation.tables import markdown

@@ -10,11 +10,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import HnfError, UsageError
+from ..errors import UsageError
 from ..field.weights import save_field
 from .progress import Progress, ProgressBar
 from .train_alignment import add_parser as _add_alignment
 from .train_encoder import add_parser as _add_encoder
+from .train_needs import check_seed_and_weights, torch_for
 from .train_tactile_map import add_parser as _add_tactile_map
 
 if TYPE_CHECKING:
@@ -81,10 +82,7 @@ def _add_field(subjects: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
-    if arguments.seed < 0:
-        raise UsageError("--seed must be a whole number from 0.")
-    if arguments.out.suffix != ".safetensors":
-        raise UsageError(f"--out {arguments.out.name}: weights are .safetensors files.", remedy="Name it so.")
+    check_seed_and_weights(arguments)
     from ..datasets.training_strokes import training_recordings
 
     kind, data = _open(arguments.data)
@@ -111,13 +109,8 @@ def _open(words: list[str]) -> tuple[str, DataSet]:
 def _train(
     arguments: argparse.Namespace, kind: str, data: DataSet, recordings: list[Recording]
 ) -> tuple[Trained, dict[str, Any]]:
-    try:
+    with torch_for("training"):
         from ..training.own_material import Choices, train_own
-    except ImportError as error:
-        raise HnfError(
-            f"training needs torch ({error}).",
-            remedy="In a checkout: make env-test; elsewhere: pip install 'hnf[train]'.",
-        ) from error
     checkpoint = arguments.out.with_name(f"{arguments.out.name}.checkpoint")
     if arguments.fresh:
         checkpoint.unlink(missing_ok=True)

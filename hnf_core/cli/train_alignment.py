@@ -7,8 +7,9 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import HnfError, UsageError
+from ..errors import UsageError
 from .progress import Progress, ProgressBar
+from .train_needs import torch_for
 
 if TYPE_CHECKING:
     from ..training.alignment.train import Recipe
@@ -93,13 +94,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def needs_torch(threads: int) -> str:
     """The version of torch, which from now on uses so many threads. Raises HnfError where it is missing."""
-    try:
+    with torch_for("alignment"):
         from ..training.alignment.train import use_threads
-    except ImportError as error:
-        raise HnfError(
-            f"alignment needs torch ({error}).",
-            remedy="In a checkout: make env-test; elsewhere: pip install 'hnf[train]'.",
-        ) from error
     return use_threads(threads)
 
 

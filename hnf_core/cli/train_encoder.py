@@ -7,8 +7,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from ..errors import HnfError, UsageError
+from ..errors import UsageError
 from .progress import Progress, ProgressBar
+from .train_needs import check_seed_and_weights, torch_for
 
 PERCENT = 100
 
@@ -35,22 +36,14 @@ def add_parser(subjects: Any) -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
-    if arguments.seed < 0:
-        raise UsageError("--seed must be a whole number from 0.")
+    check_seed_and_weights(arguments)
     if arguments.steps is not None and arguments.steps < 1:
         raise UsageError("--steps must be a whole number from 1.")
     if arguments.minutes is not None and not 0.0 < arguments.minutes < float("inf"):
         raise UsageError("--minutes must be positive.")
-    if arguments.out.suffix != ".safetensors":
-        raise UsageError(f"--out {arguments.out.name}: weights are .safetensors files.", remedy="Name it so.")
-    try:
+    with torch_for("training"):
         from ..training.encoder.fit import Schedule
         from ..training.encoder.recipe import train_encoder
-    except ImportError as error:
-        raise HnfError(
-            f"training needs torch ({error}).",
-            remedy="In a checkout: make env-test; elsewhere: pip install 'hnf[train]'.",
-        ) from error
     from ..material.alexnet.weights import save_encoder
 
     steps = arguments.steps or (Schedule().steps if arguments.trunk is None else 3000)

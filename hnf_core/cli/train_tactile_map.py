@@ -9,8 +9,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import HnfError, UsageError
+from ..errors import UsageError
 from .progress import Progress, ProgressBar
+from .train_needs import check_seed_and_weights, torch_for
 
 if TYPE_CHECKING:
     from ..training.tactile_map.validate import Distance
@@ -44,10 +45,9 @@ def add_parser(subjects: Any) -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
-    if arguments.seed < 0 or not arguments.minutes > 0:
-        raise UsageError("--seed must be a whole number from 0, --minutes more than 0.")
-    if arguments.out.suffix != ".safetensors":
-        raise UsageError(f"--out {arguments.out.name}: weights are .safetensors files.", remedy="Name it so.")
+    check_seed_and_weights(arguments)
+    if not arguments.minutes > 0.0:
+        raise UsageError("--minutes must be more than 0.")
     checkpoint = arguments.out.with_name(f"{arguments.out.name}.checkpoint")
     if arguments.fresh:
         checkpoint.unlink(missing_ok=True)
@@ -60,14 +60,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _train(arguments: argparse.Namespace, checkpoint: Path) -> dict[str, Any]:
-    try:
+    with torch_for("training"):
         from ..training.tactile_map.fit import Plan
         from ..training.tactile_map.recipe import train_map
-    except ImportError as error:
-        raise HnfError(
-            f"training needs torch ({error}).",
-            remedy="In a checkout: make env-test; elsewhere: pip install 'hnf[train]'.",
-        ) from error
     from ..tactile.diffusion.config import DIFFUSION, REGRESSION, MapConfig
 
     bar = ProgressBar()
