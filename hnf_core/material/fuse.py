@@ -41,8 +41,8 @@ def fuse(told: Token | None, prior: ArrayLike, prior_confidence: float, route: R
 
     told: of the patch's tactile map; None where there is none, then everything is prior. route: how that map came to be
     known. Of a measured one the bands that are drawn in it count (see drawn_bands); of a predicted one all that it
-    knows: it stands for a whole surface, and an empty band in it says "smooth". prior_confidence: 0–1. Raises
-    MaterialError on a prior of the wrong size or with values that are not finite.
+    knows: it stands for a whole surface, and an empty band in it says "smooth", whatever the prior.
+    prior_confidence: 0–1. Raises MaterialError on a prior of the wrong size or with values that are not finite.
     """
     library = np.asarray(prior, dtype=np.float32)
     if library.shape != (TOKEN_DIM,) or not np.isfinite(library).all():
@@ -54,18 +54,26 @@ def fuse(told: Token | None, prior: ArrayLike, prior_confidence: float, route: R
     guess = float(np.clip(prior_confidence, 0.0, 1.0))
     values = library.copy()
     if told is not None:
-        taken = np.zeros(TOKEN_DIM, dtype=bool)
+        weight = weight_of(route, guess)
         for band in range(BANDS):
-            taken[band_slice(band)] = bands[band]
-        taken[-len(SHAPE_FEATURES) :] = shape_told
-        weight = np.float32(weight_of(route, guess))
-        values[taken] = weight * told.values[taken] + (np.float32(1.0) - weight) * values[taken]
+            if bands[band]:
+                at = band_slice(band)
+                # The floor stands for "nothing"; halfway between something and nothing, in decades, is no estimate.
+                nothing = told.values[at.start] <= NOTHING_LEVEL
+                values[at] = _met(told.values[at], values[at], 1.0 if nothing else weight)
+        if shape_told:
+            at = slice(-len(SHAPE_FEATURES), None)
+            values[at] = _met(told.values[at], values[at], weight)
     return FusedToken(
         values=values,
         routes=tuple(route if is_told else Route.PRIOR for is_told in bands),
         shape_route=route if shape_told else Route.PRIOR,
         confidence=(sum(bands) * CERTAINTY.get(route, guess) + (BANDS - sum(bands)) * guess) / BANDS,
     )
+
+
+def _met(told: NDArray[np.float32], prior: NDArray[np.float32], weight: float) -> NDArray[np.float32]:
+    return np.asarray(told * np.float32(weight) + prior * np.float32(1.0 - weight))
 
 
 def weight_of(route: Route, prior_confidence: float) -> float:

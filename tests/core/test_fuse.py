@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as hnp
 
 from hnf_core.errors import MaterialError
 from hnf_core.material.encoder import smooth_token_values
-from hnf_core.material.fuse import BANDS, CERTAINTY, drawn_bands, fuse, routes_by_band, routes_in_words
+from hnf_core.material.fuse import BANDS, CERTAINTY, NOTHING_LEVEL, drawn_bands, fuse, routes_by_band, routes_in_words
 from hnf_core.material.token import TOKEN_DIM, Token, band_slice
 from hnf_core.tactile.tactile_map import Route
 
@@ -69,7 +69,7 @@ def test_what_a_picture_shows_to_be_smooth_stays_smooth():
     """A predicted map stands for the whole surface: nothing in it is not nothing known."""
     prior = np.full(TOKEN_DIM, -5.0, dtype=np.float32)
     flat = measured_token(smooth_token_values(), [True] * 4 + [False] * 3, True)
-    fused = fuse(flat, prior, 0.0, route=Route.PREDICTED)
+    fused = fuse(flat, prior, 0.1, route=Route.PREDICTED)
     assert fused.routes == (Route.PREDICTED,) * 4 + (Route.PRIOR,) * 3
     assert fused.shape_route is Route.PREDICTED
     assert np.array_equal(fused.values[band_slice(3)], smooth_token_values()[band_slice(3)])
@@ -84,7 +84,8 @@ def test_picture_and_prior_meet_where_each_is_as_loud_as_it_is_sure(values, prio
     share = CERTAINTY[Route.PREDICTED] / (CERTAINTY[Route.PREDICTED] + confidence)
     for band, told in enumerate(bands):
         at = band_slice(band)
-        met = share * values[at] + (1.0 - share) * prior[at] if told else prior[at]
+        own = 1.0 if values[at.start] <= NOTHING_LEVEL else share
+        met = own * values[at] + (1.0 - own) * prior[at] if told else prior[at]
         assert fused.routes[band] is (Route.PREDICTED if told else Route.PRIOR)
         np.testing.assert_allclose(fused.values[at], met, rtol=1e-5, atol=1e-5)
     assert np.array_equal(fused.values[-2:], prior[-2:])
