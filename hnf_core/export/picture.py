@@ -85,7 +85,11 @@ def _draw_view(
     they end."""
     left, top, width, line = LEFT, 0.915, 0.475, 0.025
     letters = 82 if tactile is None else 56
-    rows = [(label, row) for label, text in lines for row in textwrap.wrap(text, letters)[:2] or [""]]
+    rows = [
+        (label, row)
+        for label, text in lines
+        for row in textwrap.wrap(text, letters, max_lines=2, placeholder=" …") or [""]
+    ]
     below = max(line * len(rows), 0.0 if tactile is None else MAP_SIDE * SIZE_PX[0] / SIZE_PX[1] + 2 * line)
     bottom = top
     if view is not None:
