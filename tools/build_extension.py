@@ -27,7 +27,7 @@ from relative_imports import ImportRewriteError, rewrite_file
 ROOT = Path(__file__).resolve().parent.parent
 WHEELS = ROOT / "build" / "wheels"
 STAGING = ROOT / "build" / "extension"
-LEFT_OUT = frozenset({"hnf_core/data/field-held-out.safetensors", "hnf_core/data/encoder.safetensors"})
+LEFT_OUT = frozenset(f"hnf_core/data/{name}.safetensors" for name in ("field-held-out", "field-encoders", "encoder"))
 """Weights that only `hnf eval` asks, which needs torch and stays outside Blender; and E's network, whose tokens the
 shipped field refuses."""
 MEASURING = "bench"

@@ -10,7 +10,6 @@ from hnf_core.cli.probe import ProbePlace
 from hnf_core.cli.progress import Progress
 from hnf_core.cli.touch import TouchRequest
 from hnf_core.errors import SceneError
-from hnf_core.field.weights import load_field
 from hnf_core.files import write_bytes
 
 from ..bridge.importers import metres_per_unit
@@ -51,7 +50,7 @@ def work_steps(order: Order, folder: Path) -> Steps:
 
     def each(job: Job, described: BakedStroke) -> Iterator[str]:
         yield "synthesis"
-        felt = feel(described, load_field(), job.seed, report.counts)
+        felt = feel(described, session.field, job.seed, report.counts)
         bake = stroke_bake_of(described, felt, key=job.key, path_key=job.path_key)
         file = f"{len(files):04d}.bake"
         write_bytes(folder / file, bake.to_bytes())
@@ -71,7 +70,7 @@ def work_steps(order: Order, folder: Path) -> Steps:
 def scene_session(scene: Any, view_layer: Any, folder: Path) -> Session:
     """The scene as a bake sees it: its own scale, no word from a command line. folder: for what it writes."""
     request = TouchRequest(scene=None, out=folder)
-    return Session(scene, view_layer, metres_per_unit(scene), request, load_field().identity)
+    return Session(scene, view_layer, metres_per_unit(scene), request)
 
 
 def wanted_curves(scene: Any, only: Sequence[str]) -> list[Any]:

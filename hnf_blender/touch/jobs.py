@@ -10,7 +10,7 @@ from hnf_core import __version__
 from hnf_core.action.primitives import DEFAULT_PRIMITIVE, Primitive
 from hnf_core.cli.touch import TouchRequest
 from hnf_core.errors import HnfError, SceneError
-from hnf_core.field.weights import load_field, refuse_other_encoders
+from hnf_core.field.weights import field_for
 from hnf_core.files import content_hash
 from hnf_core.material.hnf_file import MaterialFile
 from hnf_core.material.library import LIBRARY_PATH, find
@@ -83,9 +83,7 @@ class Gathered:
 class Session:
     """One scene during one run: its surfaces and hashes, each made once, by object name."""
 
-    def __init__(
-        self, scene: Any, view_layer: Any, metres_per_unit: float, request: TouchRequest, field_id: str
-    ) -> None:
+    def __init__(self, scene: Any, view_layer: Any, metres_per_unit: float, request: TouchRequest) -> None:
         self.scene, self.view_layer, self.metres_per_unit, self.request = scene, view_layer, metres_per_unit, request
         self._surfaces: dict[str, Surface] = {}
         self._touched: dict[str, TouchedObject] = {}
@@ -95,9 +93,9 @@ class Session:
         ]
         library = content_hash(LIBRARY_PATH.read_bytes())
         self.seeing = Seeing(request.encoder)
-        refuse_other_encoders(load_field(), (self.seeing.measured.name, self.seeing.predicted.name))
+        self.field = field_for((self.seeing.measured.name, self.seeing.predicted.name))
         made_by = f"{__version__} {PATCH_PIXELS} {SENSOR} {STORE_VERSION}"
-        self._made_by = content_hash(field_id, library, self.seeing.measured.content_id, made_by)
+        self._made_by = content_hash(self.field.identity, library, self.seeing.measured.content_id, made_by)
 
     @property
     def depsgraph(self) -> Any:

@@ -14,7 +14,6 @@ from typing import Any
 from hnf_core.cli.progress import Progress, ProgressBar
 from hnf_core.cli.touch import TouchRequest
 from hnf_core.errors import FileError
-from hnf_core.field.weights import load_field
 from hnf_core.files import content_hash
 
 from ..bridge.importers import metres_per_unit, open_scene
@@ -134,7 +133,7 @@ def _session(scene: Any, request: TouchRequest) -> Session:
     import bpy
 
     view_layer = bpy.context.view_layer if scene == bpy.context.scene else scene.view_layers[0]
-    return Session(scene, view_layer, metres_per_unit(scene, request.metres_per_unit), request, load_field().identity)
+    return Session(scene, view_layer, metres_per_unit(scene, request.metres_per_unit), request)
 
 
 def _open(request: TouchRequest) -> Any:
@@ -188,7 +187,7 @@ def _has_name(earlier: dict[str, StrokeReport], name: str) -> bool:
 
 def _feel(session: Session, job: Job, baked: BakedStroke, views: Views, report: Report) -> StrokeReport:
     with timed(report, "synthesis_s"):
-        felt = feel(baked, load_field(), job.seed, report.counts)
+        felt = feel(baked, session.field, job.seed, report.counts)
     for warning in felt.warnings:
         report.warn(f"stroke '{job.name}': {warning}")
     with timed(report, "picture_s"):

@@ -26,6 +26,8 @@ from .ranges import MECHANICS_NAMES, SECTORS, Given, Ranges
 DEFAULT_WEIGHTS = Path(__file__).parent.parent / "data" / "field.safetensors"
 HELD_OUT_WEIGHTS = DEFAULT_WEIGHTS.with_name("field-held-out.safetensors")
 """Trained without a class of every category (metadata held_out), for evaluation only."""
+EVERY_ENCODER_WEIGHTS = DEFAULT_WEIGHTS.with_name("field-encoders.safetensors")
+"""Trained on tokens of every make of E; a little worse than the default on those of the library's make."""
 FORMAT = "hnf-field-1"
 _TOKEN_LOW, _TOKEN_HIGH = "ranges.token_low", "ranges.token_high"
 _KIND = Kind(
@@ -81,6 +83,28 @@ def load_field(path: Path | str | None = None) -> Field:
     finite, or belongs to another encoder.
     """
     return _load(DEFAULT_WEIGHTS) if path is None else _read(Path(path))
+
+
+def field_for(encoders: Iterable[str]) -> Field:
+    """The shipped field for tokens of these makes of E: the default where it knows them all, else the one that was
+    trained on every make.
+
+    Raises WeightsError where no shipped field knows one of them, or where that field is needed and missing, as in the
+    Blender extension.
+    """
+    names = tuple(encoders)
+    field = load_field()
+    if all(name in encoders_of(field.metadata) for name in names):
+        return field
+    if not EVERY_ENCODER_WEIGHTS.is_file():
+        raise WeightsError(
+            "the field that knows every make of E is not part of the Blender extension.",
+            where=str(EVERY_ENCODER_WEIGHTS),
+            remedy=f"Choose {ENCODER_ID}, or install hnf outside Blender: pip install from its source.",
+        )
+    field = load_field(EVERY_ENCODER_WEIGHTS)
+    refuse_other_encoders(field, names, str(EVERY_ENCODER_WEIGHTS))
+    return field
 
 
 def own_material(field: Field, where: str) -> LibraryMaterial:

@@ -89,3 +89,18 @@ def test_an_unknown_encoder_is_refused(tmp_path, capsys) -> None:
     scene = save_scene(tmp_path / "scene.blend")
     assert touch(scene, tmp_path / "out", "--plan", "--encoder", "no-such-make")[0] == 2
     assert "band-descriptor-1" in capsys.readouterr().err
+
+
+def test_another_make_of_e_brings_the_field_that_knows_it(tmp_path) -> None:
+    photo_plate()
+    line_stroke("Along")
+    scene, out = save_scene(tmp_path / "scene.blend"), tmp_path / "out"
+    _, first = touch(scene, out)
+    code, second = touch(scene, out, "--encoder", "alexnet-bands-1")
+    assert code == 0
+    (entry,) = second["strokes"]
+    assert entry["encoder"] == "alexnet-bands-1"
+    assert not entry["fresh"]
+    assert entry["rms_m_s2"] != first["strokes"][0]["rms_m_s2"]
+    _, again = touch(scene, out, "--encoder", "alexnet-bands-1")
+    assert again["strokes"][0]["fresh"]

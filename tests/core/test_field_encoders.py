@@ -6,8 +6,16 @@ from dataclasses import replace
 import pytest
 
 from hnf_core.errors import WeightsError
+from hnf_core.field import weights
 from hnf_core.field.field import Field
-from hnf_core.field.weights import encoders_of, load_field, refuse_other_encoders, save_field
+from hnf_core.field.weights import (
+    EVERY_ENCODER_WEIGHTS,
+    encoders_of,
+    field_for,
+    load_field,
+    refuse_other_encoders,
+    save_field,
+)
 from hnf_core.material.token import ALEXNET_ID, ENCODER_ID, ENCODER_NAMES, joined_encoders, split_encoders
 
 
@@ -65,3 +73,19 @@ def test_makes_are_joined_in_one_order():
     for text in ("", "other", "+".join(reversed(ENCODER_NAMES)), f"{ENCODER_ID}+{ENCODER_ID}"):
         with pytest.raises(ValueError, match="encoder"):
             split_encoders(text)
+
+
+def test_the_field_that_knows_a_make_is_found() -> None:
+    assert field_for(()) is field_for((ENCODER_ID,)) is load_field()
+    every = field_for((ENCODER_ID, ALEXNET_ID))
+    assert every.identity == field_for((ALEXNET_ID,)).identity != load_field().identity
+    assert set(encoders_of(every.metadata)) == {ENCODER_ID, ALEXNET_ID}
+    with pytest.raises(WeightsError, match="'other-9'"):
+        field_for(("other-9",))
+
+
+def test_where_it_was_left_out_that_is_said(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(weights, "EVERY_ENCODER_WEIGHTS", tmp_path / EVERY_ENCODER_WEIGHTS.name)
+    with pytest.raises(WeightsError, match="not part of the Blender extension"):
+        field_for((ALEXNET_ID,))
+    assert field_for((ENCODER_ID,)) is load_field()

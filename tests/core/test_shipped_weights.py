@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from hnf_core.field.weights import DEFAULT_WEIGHTS as FIELD
-from hnf_core.field.weights import HELD_OUT_WEIGHTS, load_field, save_field
+from hnf_core.field.weights import EVERY_ENCODER_WEIGHTS, HELD_OUT_WEIGHTS, load_field, save_field
 from hnf_core.material.alexnet.weights import DEFAULT_ENCODER, load_encoder, save_encoder
 from hnf_core.tactile.diffusion.weights import DEFAULT_WEIGHTS as MAPS
 from hnf_core.tactile.diffusion.weights import load_map_weights, save_map_weights
@@ -24,7 +24,10 @@ def copy_maps(source: Path, target: Path) -> None:
     save_map_weights(target, weights.config, weights.network.parameters, weights.metadata)
 
 
-COPIES = {FIELD: copy_field, HELD_OUT_WEIGHTS: copy_field, DEFAULT_ENCODER: copy_encoder, MAPS: copy_maps}
+COPIES = {
+    FIELD: copy_field, HELD_OUT_WEIGHTS: copy_field, EVERY_ENCODER_WEIGHTS: copy_field, DEFAULT_ENCODER: copy_encoder,
+    MAPS: copy_maps,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("path", COPIES, ids=lambda path: path.stem)
