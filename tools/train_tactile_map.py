@@ -1,8 +1,8 @@
-"""Train the shipped weights hnf_core/data/tactile-map.safetensors, or their baseline, on generated pairs.
+"""Train weights of D_φ on generated pairs; those shipped are hnf_core/data/tactile-map.safetensors.
 
-Usage: python tools/train_tactile_map.py [--regression] [--minutes M | --steps N] [--data DIR] [--out FILE] [--seed N]
+Usage: python tools/train_tactile_map.py [--objective O] [--minutes M | --steps N] [--data DIR] [--out FILE] [--seed N]
 Needs the extra "train" and the pairs of tools/make_tactile_pairs.py. One core; a killed run goes on where it was.
---regression trains the baseline of the same size instead: no noise, one pass, least squares.
+Objectives: regression (default; shipped), least squares in one pass, and diffusion, the same network sampled in steps.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from hnf_core.tactile.diffusion.config import DIFFUSION, REGRESSION, MapConfig  # noqa: E402
 from hnf_core.training.tactile_map.fit import Plan  # noqa: E402
-from hnf_core.training.tactile_map.recipe import train_map  # noqa: E402
+from hnf_core.training.tactile_map.recipe import RATES, train_map  # noqa: E402
 from hnf_core.training.tactile_map.validate import Distance  # noqa: E402
 
 BUILD = ROOT / "build"
@@ -30,20 +30,21 @@ BUILD = ROOT / "build"
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, default=BUILD / "tactile-pairs", help="folder of the pairs")
-    parser.add_argument("--out", type=Path, help="default: build/tactile-map/{diffusion,regression}.safetensors")
+    parser.add_argument("--out", type=Path, help="default: build/tactile-map/OBJECTIVE.safetensors")
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--steps", type=int, help="at most so many")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--rate", type=float, default=Plan().rate)
+    parser.add_argument("--rate", type=float, help=f"of learning; default by objective: {RATES}")
     parser.add_argument("--batch", type=int, default=Plan().batch)
-    parser.add_argument("--regression", action="store_true", help="the baseline")
+    parser.add_argument("--objective", choices=(REGRESSION, DIFFUSION), default=REGRESSION)
     parser.add_argument("--partial", action="store_true", help="train on what shards are there")
     arguments = parser.parse_args()
-    objective = REGRESSION if arguments.regression else DIFFUSION
+    objective = arguments.objective
     out = arguments.out or BUILD / "tactile-map" / f"{objective}.safetensors"
+    rate = RATES[objective] if arguments.rate is None else arguments.rate
     plan = Plan(steps=arguments.steps, minutes=arguments.minutes, seed=arguments.seed, threads=arguments.threads,
-                rate=arguments.rate, batch=arguments.batch)  # fmt: skip
+                rate=rate, batch=arguments.batch)  # fmt: skip
     began = time.monotonic()
 
     def watch(step: int, spent: float, loss: float, distances: Mapping[str, Distance]) -> None:

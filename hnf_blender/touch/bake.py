@@ -101,8 +101,8 @@ def bake_patches(
 
 
 def noise_seed(touched: TouchedObject, patch: Patch) -> int:
-    """Of a patch's prediction: of its material and its place on the surface to a millimetre. patch_key takes in every
-    digit; a scene that is moved is rounded otherwise, and must feel as it did."""
+    """Of a patch's prediction (a regression heeds none): of its material and its place on the surface to a millimetre.
+    patch_key takes in every digit; a scene that is moved is rounded otherwise, and must feel as it did."""
     shader = touched.shader_hashes[patch.slot] if patch.slot < len(touched.shader_hashes) else ""
     # Off the grid: people like round numbers, which would lie on its borders.
     place = np.floor(patch.centre * 1e3 + 0.317).astype(int)

@@ -212,7 +212,7 @@ def _tell(report: Report, request: TouchRequest) -> int:
             )
         counts = report.counts
         print(f"{counts.renders} renders, {counts.rays} rays, {counts.network_calls} network calls, "
-              f"{counts.diffusion_calls} diffusion calls; report: {request.out / 'report.json'}")  # fmt: skip
+              f"{counts.diffusion_calls} reliefs estimated; report: {request.out / 'report.json'}")  # fmt: skip
     for warning in report.warnings:
         print(f"note: {warning}", file=sys.stderr)
     for failed in report.failed:

@@ -74,7 +74,7 @@ class Seeing:
 
     def predict(self, look: Look, views: tuple[LookView, ...], seed: int) -> Prediction:
         """One call of D_φ for all views of a patch, then E of each map, merged. Equal input gives equal bytes. seed: of
-        the patch; each view has noise of its own.
+        the patch; where D_φ is a diffusion, each view has noise of its own.
 
         Raises FileError or WeightsError where the weights cannot be used.
         """

@@ -26,7 +26,9 @@ def add_parser(subjects: Any) -> None:
         help=f"training pairs for the simpler guesses (default {PAIRS} where it is; else a few are made)",
     )  # fmt: skip
     parser.add_argument("--weights", type=Path, metavar="FILE", help="of D_φ (default: the shipped ones)")
-    parser.add_argument("--regression", type=Path, metavar="FILE", help="of the baseline, see hnf train tactile-map")
+    parser.add_argument(
+        "--beside", type=Path, metavar="FILE", help="of another D_φ to compare it with, see hnf train tactile-map"
+    )
     parser.add_argument("--quick", action="store_true", help="a handful of tiles made on the fly, few steps")
     parser.add_argument("--tiles", type=int, metavar="N", help="of new pieces, and of new classes")
     parser.add_argument("--cache", type=Path, metavar="DIR", help="keep tiles and predictions here for the next run")
@@ -45,14 +47,10 @@ def run(arguments: argparse.Namespace) -> int:
     from ..evaluation.tactile_map.figures import draw_pictures
     from ..evaluation.tactile_map.run import QUICK, Setup, Sizes, measure
     from ..evaluation.tactile_map.tables import markdown, to_json
-    from ..tactile.diffusion.config import DIFFUSION, REGRESSION
     from ..tactile.diffusion.weights import load_map_weights
 
     weights = load_map_weights(arguments.weights)
-    regression = None if arguments.regression is None else load_map_weights(arguments.regression)
-    for given, objective, option in ((weights, DIFFUSION, "--weights"), (regression, REGRESSION, "--regression")):
-        if given is not None and given.config.objective != objective:
-            raise UsageError(f"{option}: these weights are of a {given.config.objective} network, not {objective}.")
+    beside = None if arguments.beside is None else load_map_weights(arguments.beside)
     data = arguments.data
     if data is None and not arguments.quick and PAIRS.is_dir():
         data = PAIRS
@@ -60,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.tiles is not None:
         fewer = {name: min(getattr(sizes, name), arguments.tiles) for name in ("varied", "all_pitches", "curve")}
         sizes = replace(sizes, instances=arguments.tiles, classes=arguments.tiles, **fewer)
-    setup = Setup(weights, regression, data, sizes, arguments.seed, arguments.cache)
+    setup = Setup(weights, beside, data, sizes, arguments.seed, arguments.cache)
     bar = ProgressBar()
     try:
         measured = measure(setup, lambda what, done, total: bar.show(Progress(what, done, total)))

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import UsageError
+from ..tactile.diffusion.config import DIFFUSION, REGRESSION, MapConfig
 from .progress import Progress, ProgressBar
 from .train_needs import check_seed_and_weights, torch_for
 
@@ -36,7 +37,10 @@ def add_parser(subjects: Any) -> argparse.ArgumentParser:
         "--minutes", type=float, default=DEFAULT_MINUTES, metavar="M", help=f"to train (default {DEFAULT_MINUTES:g})"
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of batches, noise and initial weights")
-    parser.add_argument("--regression", action="store_true", help="the baseline: no noise, one pass, least squares")
+    parser.add_argument(
+        "--objective", choices=(REGRESSION, DIFFUSION), default=REGRESSION,
+        help=f"{REGRESSION} (default; shipped): least squares, one pass; {DIFFUSION}: maps sampled from noise in steps",
+    )  # fmt: skip
     parser.add_argument("--fresh", action="store_true", help="start anew even where a killed run could go on")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
     parser.set_defaults(run=run)
@@ -62,8 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _train(arguments: argparse.Namespace, checkpoint: Path) -> dict[str, Any]:
     with torch_for("training"):
         from ..training.tactile_map.fit import Plan
-        from ..training.tactile_map.recipe import train_map
-    from ..tactile.diffusion.config import DIFFUSION, REGRESSION, MapConfig
+        from ..training.tactile_map.recipe import RATES, train_map
 
     bar = ProgressBar()
 
@@ -74,8 +77,8 @@ def _train(arguments: argparse.Namespace, checkpoint: Path) -> dict[str, Any]:
 
     try:
         folder = _pairs_of(arguments, bar)
-        config = MapConfig(objective=REGRESSION if arguments.regression else DIFFUSION)
-        plan = Plan(minutes=arguments.minutes, seed=arguments.seed)
+        plan = Plan(minutes=arguments.minutes, seed=arguments.seed, rate=RATES[arguments.objective])
+        config = MapConfig(objective=arguments.objective)
         return train_map(folder, plan, config, arguments.out, checkpoint, watch)
     finally:
         bar.close()

@@ -20,10 +20,12 @@ from hnf_core.datasets.tactile_pairs import HELD_OUT_CLASSES, HELD_OUT_INSTANCES
 from hnf_core.errors import FileError, UsageError
 from hnf_core.evaluation.held_out import Known, expected
 from hnf_core.evaluation.tactile_map import judge, run, tiles
+from hnf_core.evaluation.tactile_map.figures import draw_pictures
 from hnf_core.evaluation.tactile_map.image_quality import SIDE, SIGMA, normal_angle_deg, psnr_db, ssim
 from hnf_core.evaluation.tactile_map.judge import judge_pictures, judge_spectra
 from hnf_core.evaluation.tactile_map.kept import Kept
 from hnf_core.evaluation.tactile_map.learned import GREY_M, fitted_grey_m, grey_slopes, learn
+from hnf_core.evaluation.tactile_map.networks import networks_of
 from hnf_core.evaluation.tactile_map.run import Setup, Sizes, measure
 from hnf_core.evaluation.tactile_map.spectra import long_run_spectra, spectrum_error
 from hnf_core.evaluation.tactile_map.statistics import mean_interval, ratio_interval
@@ -32,7 +34,7 @@ from hnf_core.field.weights import load_field
 from hnf_core.material.encoders import encoder_by_name
 from hnf_core.material.library import find
 from hnf_core.material.token import ENCODER_ID
-from hnf_core.tactile.diffusion.config import REGRESSION, MapConfig
+from hnf_core.tactile.diffusion.config import DIFFUSION, REGRESSION, MapConfig
 from hnf_core.tactile.diffusion.weights import load_map_weights, save_map_weights
 from hnf_core.tactile.views import LookView
 from hnf_core.training.conditions import middle_conditions, speed_grid
@@ -43,6 +45,7 @@ ENCODER = encoder_by_name(ENCODER_ID)
 SIZES = Sizes(
     instances=1, classes=1, varied=1, all_pitches=1, curve=1, steps=2, curve_steps=(1, 2), guidance=(1.0, 2.0), made=2
 )  # fmt: skip
+NAMES = {DIFFUSION: "predicted (diffusion, 2 steps)", REGRESSION: "predicted (regression)"}
 
 
 def picture(seed: int, *shape: int) -> np.ndarray:
@@ -244,9 +247,9 @@ def test_what_is_kept_is_made_once_and_damage_is_told(tmp_path) -> None:
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory):
     folder = tmp_path_factory.mktemp("weights")
-    for name, more in (("diffusion", {}), ("regression", {"objective": REGRESSION})):
-        config = MapConfig(**SMALL, **more)
-        save_map_weights(folder / f"{name}.safetensors", config, random_parameters(config), {})
+    for name, objective, seed in ((DIFFUSION, DIFFUSION, 0), (REGRESSION, REGRESSION, 0), ("other", REGRESSION, 1)):
+        config = MapConfig(**SMALL, objective=objective)
+        save_map_weights(folder / f"{name}.safetensors", config, random_parameters(config, seed), {})
     return folder
 
 
@@ -254,19 +257,26 @@ def hnf(*words: object) -> int:
     return main([str(word) for word in words], lambda arguments: 1)
 
 
-def test_the_whole_report(weights, tmp_path, monkeypatch, capsys) -> None:
+@pytest.mark.parametrize(("main", "other"), [(DIFFUSION, REGRESSION), (REGRESSION, DIFFUSION)])
+def test_the_whole_report(weights, main, other, tmp_path, monkeypatch, capsys) -> None:
     """Through the command line, in small: every table, JSON, pictures; and again from what was kept, to the byte."""
     pytest.importorskip("matplotlib", reason="draws pictures")
     monkeypatch.setattr(run, "QUICK", SIZES)
-    command = ("eval", "tactile-map", "--quick", "--weights", weights / "diffusion.safetensors", "--regression",
-               weights / "regression.safetensors", "--cache", weights / "kept", "--json")  # fmt: skip
+    command = ("eval", "tactile-map", "--quick", "--weights", weights / f"{main}.safetensors", "--beside",
+               weights / f"{other}.safetensors", "--cache", weights / "kept", "--json")  # fmt: skip
     assert hnf(*command, "--pictures", tmp_path) == 0
     told = capsys.readouterr().out
     record = json.loads(told)
     found = record["tables"][f"vibration, {HELD_OUT_CLASSES}"]
-    assert set(found) >= {judge.DIFFUSION, judge.REGRESSION, judge.NEIGHBOUR, judge.CLASS_MEAN, judge.NO_DEPTH}
+    assert record["networks"] == [NAMES[main], NAMES[other]]
+    assert set(found) >= {*NAMES.values(), judge.NEIGHBOUR, judge.CLASS_MEAN, judge.NO_DEPTH, judge.FUSED}
     assert found[judge.TRUTH]["total_db"] == [0.0, 0.0, 0.0]
     assert found[judge.FLOOR]["excess_db"] == [0.0, 0.0, 0.0]
+    margins = record["tables"][f"margins, {HELD_OUT_CLASSES}"]
+    rivals = {judge.NEIGHBOUR: 0.5, judge.CLASS_MEAN: 0.5, NAMES[other]: 1.0}
+    assert {name: each["aim"] for name, each in margins.items()} == {
+        f"{ours} / {rival}": aim for ours in (NAMES[main], judge.FUSED) for rival, aim in rivals.items()
+    }
     assert [(each["steps"], each["guidance"]) for each in record["tables"]["steps"]["points"]] == [
         (1, 1),
         (2, 1),
@@ -280,14 +290,55 @@ def test_the_whole_report(weights, tmp_path, monkeypatch, capsys) -> None:
     assert capsys.readouterr().out == told
 
 
-def test_weights_in_the_wrong_place_are_refused(weights, capsys) -> None:
-    assert hnf("eval", "tactile-map", "--quick", "--weights", weights / "regression.safetensors") == 2
-    assert "regression network" in capsys.readouterr().err
+def test_two_of_a_kind_are_told_apart(weights) -> None:
+    one, other = (load_map_weights(weights / f"{name}.safetensors") for name in (REGRESSION, "other"))
+    first, second = networks_of(one, other, 20)
+    assert (first.name, second.name) == (NAMES[REGRESSION], f"{NAMES[REGRESSION]}, other weights")
+    assert first.short != second.short
+    assert (first.weights, second.weights) == (one, other)
 
 
-def test_without_a_regression_there_is_no_row_of_it(weights) -> None:
+@pytest.mark.parametrize("objective", [DIFFUSION, REGRESSION])
+def test_the_same_weights_twice_are_refused(weights, objective, tmp_path, capsys) -> None:
+    """Known by what they compute: the copy says something else of itself, so that its bytes differ."""
+    path, copy = weights / f"{objective}.safetensors", tmp_path / "copy.safetensors"
+    read = load_map_weights(path)
+    save_map_weights(copy, read.config, read.network.parameters, {"note": "another day"})
+    assert copy.read_bytes() != path.read_bytes()
+    assert hnf("eval", "tactile-map", "--quick", "--weights", path, "--beside", copy) == 2
+    told = capsys.readouterr()
+    assert "same weights" in told.err
+    assert "--beside" in told.err
+    assert told.out == ""
+
+
+def test_the_curve_is_that_of_the_diffusion_wherever_it_stands(weights) -> None:
+    diffusion, regression = (load_map_weights(weights / f"{name}.safetensors") for name in (DIFFUSION, REGRESSION))
+    sizes = replace(SIZES, varied=0, all_pitches=0, guidance=(1.0,))
+    curves = [
+        measure(Setup(main, beside, sizes=sizes, cache=weights / "kept")).curve
+        for main, beside in ((diffusion, regression), (regression, diffusion))
+    ]
+    assert len(curves[0]) == 2
+    for one, other in zip(*curves, strict=True):
+        assert one.results[0].errors[judge.PREDICTED] == other.results[0].errors[judge.PREDICTED]
+
+
+def test_without_another_network_there_is_no_row_of_it(weights) -> None:
     sizes = replace(SIZES, varied=0, all_pitches=0, steps=1, curve_steps=(1,), guidance=(1.0,))
     setup = Setup(load_map_weights(weights / "diffusion.safetensors"), sizes=sizes, cache=weights / "kept")
     measured = measure(setup)
-    assert all(judge.REGRESSION not in json.dumps(extra.rows) for extra in extras(setup, measured))
-    assert to_json(setup, measured)["regression"] is None
+    assert all(REGRESSION not in json.dumps(extra.rows) for extra in extras(setup, measured))
+    assert to_json(setup, measured)["beside"] is None
+
+
+def test_without_a_diffusion_there_are_no_steps_to_show(weights, tmp_path) -> None:
+    pytest.importorskip("matplotlib", reason="draws pictures")
+    sizes = replace(SIZES, varied=0, all_pitches=0)
+    setup = Setup(load_map_weights(weights / "regression.safetensors"), sizes=sizes, cache=weights / "kept")
+    measured = measure(setup)
+    assert measured.curve == ()
+    assert "steps" not in to_json(setup, measured)["tables"]
+    assert DIFFUSION not in json.dumps(to_json(setup, measured))
+    draw_pictures(tmp_path, setup, measured)
+    assert {path.name for path in tmp_path.glob("*.png")} == {"tactile-map-examples.png", "tactile-map-excess.png"}

@@ -180,7 +180,11 @@ def test_no_budget_and_too_few_pairs_are_refused():
         fit(synthetic_pairs(2), {}, QUICK, TINY)
 
 
-def test_the_words_train_and_the_weights_say_how(tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("words", "objective"),
+    [((), REGRESSION), (("--objective", REGRESSION), REGRESSION), (("--objective", DIFFUSION), DIFFUSION)],
+)
+def test_the_words_train_and_the_weights_say_how(words, objective, tmp_path, capsys):
     for index, split in enumerate(SPLITS):
         save_shard(
             shard_path(tmp_path / "pairs", split, 0), synthetic_pairs(16 if index == 0 else 4, index), shards=1, key="a"
@@ -190,13 +194,14 @@ def test_the_words_train_and_the_weights_say_how(tmp_path, capsys):
     def hnf(*words) -> int:
         return main([str(word) for word in words], lambda _: 1)
 
-    assert hnf("train", "tactile-map", "--data", tmp_path / "pairs", "--out", out, "--minutes", 0.01, "--json") == 0
+    asked = ("--data", tmp_path / "pairs", "--out", out, "--minutes", 0.01, "--json", *words)
+    assert hnf("train", "tactile-map", *asked) == 0
     record = json.loads(capsys.readouterr().out)
     weights = load_map_weights(out)
     assert record["weights"] == str(out)
     assert json.loads(weights.metadata["metrics"]) == record["metrics"]
     assert set(record["metrics"]) == set(SPLITS[1:])
-    assert weights.metadata["objective"] == DIFFUSION
+    assert weights.metadata["objective"] == weights.config.objective == objective
     assert not out.with_name(f"{out.name}.checkpoint").exists()
     assert hnf("train", "tactile-map", "--data", tmp_path / "none", "--out", out) == 1
     assert "make_tactile_pairs" in capsys.readouterr().err

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ from ...export.figure import write_figure
 from ..pictures import COLOURS, TRUTH
 from . import judge
 from .image_quality import rms_slope
+from .networks import Network
 from .run import Example, Measured, Setup
 from .statistics import mean_interval
 from .tables import excess, of
@@ -25,12 +26,11 @@ if TYPE_CHECKING:
 
 Picture = NDArray[np.float64]
 
-SHOWN = (judge.DIFFUSION, judge.REGRESSION, judge.NEIGHBOUR, judge.GREY)
 COMPARED = (
-    judge.DIFFUSION, judge.REGRESSION, judge.NEIGHBOUR, judge.CLASS_MEAN, judge.MEAN, judge.GREY,
+    judge.NEIGHBOUR, judge.CLASS_MEAN, judge.MEAN, judge.GREY,
     judge.FUSED, judge.NO_DEPTH, judge.NO_COLOUR, judge.DIGIT,
 )  # fmt: skip
-SHORT = {judge.REGRESSION: "regression", judge.NEIGHBOUR: "neighbour", judge.GREY: "grey = height"}
+SHORT = {judge.NEIGHBOUR: "neighbour", judge.GREY: "grey = height"}
 EXAMPLES = 5
 STEEP = 0.35
 """True slopes are stretched to this RMS; guesses by the same factor, so that a level that is off shows."""
@@ -38,18 +38,20 @@ CELL_PX, LEFT_PX, HEAD_PX = 82, 116, 84
 
 
 def draw_pictures(folder: Path, setup: Setup, measured: Measured) -> None:
-    """Three PNG files into the folder. Raises FileError where matplotlib is missing or nothing can be written."""
-    examples_picture(folder / "tactile-map-examples.png", measured.examples)
-    excess_picture(folder / "tactile-map-excess.png", measured, setup.seed)
-    steps_picture(folder / "tactile-map-steps.png", measured, setup.seed)
+    """PNG files into the folder: two, and one of steps where one of the networks is a diffusion. Raises FileError where
+    matplotlib is missing or nothing can be written."""
+    examples_picture(folder / "tactile-map-examples.png", measured.examples, setup.networks)
+    excess_picture(folder / "tactile-map-excess.png", measured, setup.networks, setup.seed)
+    if measured.curve:
+        steps_picture(folder / "tactile-map-steps.png", measured, setup.seed)
 
 
-def examples_picture(path: Path, examples: Sequence[Example]) -> None:
+def examples_picture(path: Path, examples: Sequence[Example], networks: Sequence[Network]) -> None:
     """Some tiles of classes never trained on, widest view and one of the finest: look, true sensor image, guesses."""
     chosen = _spread(examples)
-    names = [judge.TRUTH, *(name for name in SHOWN if name in chosen[0].slopes)]
+    titles = {judge.TRUTH: judge.TRUTH, **{each.name: each.short for each in networks}, **SHORT}
     views = (0, TOKEN_VIEWS - 1)
-    across = 1 + len(names)
+    across = 1 + len(titles)
     size = (LEFT_PX + CELL_PX * across * len(views) + 24, HEAD_PX + CELL_PX * len(chosen) + 10)
 
     def draw(figure: Figure) -> None:
@@ -58,7 +60,7 @@ def examples_picture(path: Path, examples: Sequence[Example]) -> None:
             top = HEAD_PX + CELL_PX * row
             figure.text(10 / size[0], 1.0 - (top + CELL_PX / 2) / size[1], example.tile.order.class_name, fontsize=10)
             for block, view in enumerate(views):
-                for column, (name, picture) in enumerate(_pictures(example, names, view)):
+                for column, (name, picture) in enumerate(_pictures(example, titles, view)):
                     left = LEFT_PX + CELL_PX * (block * across + column) + 14 * block
                     place = (left / size[0], 1.0 - (top + CELL_PX - 6) / size[1])
                     axes = figure.add_axes((*place, (CELL_PX - 6) / size[0], (CELL_PX - 6) / size[1]))
@@ -71,20 +73,21 @@ def examples_picture(path: Path, examples: Sequence[Example]) -> None:
     write_figure(path, size, draw)
 
 
-def excess_picture(path: Path, measured: Measured, seed: int) -> None:
+def excess_picture(path: Path, measured: Measured, networks: Sequence[Network], seed: int) -> None:
     """Excess of every method over the floor, held-out classes, with intervals; the aim as a line."""
     results = measured.results[HELD_OUT_CLASSES]
-    names = [name for name in COMPARED if any(name in each.errors for each in results)]
+    rows = (*(each.name for each in networks), *COMPARED)
+    names = [name for name in rows if any(name in each.errors for each in results)]
     above = [mean_interval(excess(results, name), seed) for name in names]
     floor = mean_interval(of(results, judge.FLOOR, "total"), seed)
-    size = (900, 96 + 34 * len(names))
+    size = (960, 96 + 34 * len(names))
 
     def draw(figure: Figure) -> None:
         figure.text(0.02, 1.0 - 26 / size[1], "Vibration from guessed maps, classes never trained on", fontsize=14,
                     fontweight="bold")  # fmt: skip
-        axes = figure.add_axes((210 / size[0], 54 / size[1], (size[0] - 240) / size[0], (size[1] - 100) / size[1]))
+        axes = figure.add_axes((300 / size[0], 54 / size[1], (size[0] - 330) / size[0], (size[1] - 100) / size[1]))
         place = np.arange(len(names))[::-1]
-        axes.barh(place, [each.mean for each in above], color=[_colour(name) for name in names], height=0.62)
+        axes.barh(place, [each.mean for each in above], color=[_colour(name, networks) for name in names], height=0.62)
         spread = np.array([[each.mean - each.low, each.high - each.mean] for each in above]).T
         axes.errorbar([each.mean for each in above], place, xerr=np.maximum(spread, 0.0), fmt="none", ecolor=TRUTH,
                       lw=1.4, capsize=3)  # fmt: skip
@@ -107,14 +110,14 @@ def steps_picture(path: Path, measured: Measured, seed: int) -> None:
     size = (1000, 380)
 
     def draw(figure: Figure) -> None:
-        figure.text(0.02, 1.0 - 26 / size[1], "Steps and guidance", fontsize=14, fontweight="bold")
+        figure.text(0.02, 1.0 - 26 / size[1], "Steps and guidance of the diffusion", fontsize=14, fontweight="bold")
         error, cost, guide = (
             figure.add_axes((left / size[0], 62 / size[1], wide / size[0], 250 / size[1]))
             for left, wide in ((70, 350), (500, 190), (780, 190))
         )
         for axes, points, horizontal in ((error, plain, "steps"), (guide, guided, "guidance")):
             _with_intervals(axes, [getattr(each, horizontal) for each in points],
-                            [of(each.results, judge.DIFFUSION, "total") for each in points], seed)  # fmt: skip
+                            [of(each.results, judge.PREDICTED, "total") for each in points], seed)  # fmt: skip
             axes.axhline(float(of(plain[0].results, judge.FLOOR, "total").mean()), color=TRUTH, lw=1.0, ls="--")
             axes.set_xlabel(horizontal)
             axes.set_ylim(bottom=0.0)
@@ -145,10 +148,11 @@ def _common_steps(measured: Measured) -> int:
     return next((each.steps for each in measured.curve if each.guidance != 1.0), measured.curve[-1].steps)
 
 
-def _colour(name: str) -> str:
-    if name == judge.DIFFUSION:
-        return COLOURS[0]
-    return COLOURS[5] if name.startswith(judge.DIFFUSION) else COLOURS[1] if name == judge.REGRESSION else "#b9c0c8"
+def _colour(name: str, networks: Sequence[Network]) -> str:
+    names = [each.name for each in networks]
+    if name in names:
+        return COLOURS[names.index(name)]
+    return COLOURS[5] if name.startswith(judge.PREDICTED) else "#b9c0c8"
 
 
 def _spread(examples: Sequence[Example]) -> list[Example]:
@@ -159,13 +163,13 @@ def _spread(examples: Sequence[Example]) -> list[Example]:
     return list(first.values())[:EXAMPLES]
 
 
-def _pictures(example: Example, names: Sequence[str], view: int) -> list[tuple[str, Picture]]:
+def _pictures(example: Example, titles: Mapping[str, str], view: int) -> list[tuple[str, Picture]]:
     sensor = PAIR_SENSORS[0]
     true = example.tile.slopes[view, 0]
     gain = STEEP / max(rms_slope(true), 1e-9)
     out = [("look", np.sqrt(example.tile.views[view].rgb.astype(np.float64)))]
-    for name in names:
+    for name, title in titles.items():
         slopes = true if name == judge.TRUTH else example.slopes[name][1][view]
         image = sensor_image(np.asarray(gain * slopes, dtype=np.float32), sensor)
-        out.append((SHORT.get(name, name), np.sqrt(np.clip(image.astype(np.float64), 0.0, 1.0))))
+        out.append((title, np.sqrt(np.clip(image.astype(np.float64), 0.0, 1.0))))
     return out

@@ -26,12 +26,13 @@ Float = NDArray[np.float64]
 Single = NDArray[np.float32]
 
 TRUTH, WHOLE, FLOOR = "true map", "true map, whole tile", "true map, second tile (floor)"
-DIFFUSION, REGRESSION = "D_φ", "regression U-Net"
-NO_DEPTH, NO_COLOUR = "D_φ, depth unknown", "D_φ, colour unknown"
-DIGIT = "D_φ, DIGIT"
+PREDICTED = "predicted"
+"""By a network; alone, of the main one (networks.networks_of names the rows of both)."""
+NO_DEPTH, NO_COLOUR = f"{PREDICTED}, depth unknown", f"{PREDICTED}, colour unknown"
+DIGIT = f"{PREDICTED}, DIGIT"
 NEIGHBOUR, GREY, FLAT = "nearest neighbour", "grey level is height", "flat (mean map)"
 CLASS_MEAN, MEAN = "class mean", "mean of all"
-FUSED = "D_φ fused with the category's token"
+FUSED = f"{PREDICTED}, fused with the category's token"
 """As the product fuses a picture with a prior (material.fuse) that is of the right category and no more."""
 DARK = 1e-4
 """Least own range of a sensor image: below, it is flat to the eye, and to eight bits."""
@@ -70,8 +71,11 @@ Maps = Mapping[str, tuple[str, Single]]
 """Method → (sensor, slopes (views, 2, 64, 64) of the tile's first views)."""
 
 
-def judge_spectra(field: Field, encoder: Encoder, tile: JudgedTile, maps: Maps, learned: Learned | None) -> TileResult:
-    """maps: any number of views from TOKEN_VIEWS on. learned: None leaves class mean and mean of all out."""
+def judge_spectra(
+    field: Field, encoder: Encoder, tile: JudgedTile, maps: Maps, learned: Learned | None, main: str = ""
+) -> TileResult:
+    """maps: any number of views from TOKEN_VIEWS on. learned: None leaves class mean, mean of all and FUSED out. main:
+    the method whose token is fused with the category's, "" = none."""
     pitches = [view.pitch_m for view in tile.views[:TOKEN_VIEWS]]
 
     def token(slopes: Single, sensor: str = PAIR_SENSORS[0]) -> Token:
@@ -84,7 +88,7 @@ def judge_spectra(field: Field, encoder: Encoder, tile: JudgedTile, maps: Maps, 
     for name, (sensor, slopes) in maps.items():
         told = token(slopes, sensor)
         tokens[name], against[name] = told.values, sensor
-        if name == DIFFUSION and learned is not None:
+        if name == main and learned is not None:
             tokens[FUSED] = fuse(told, _token_of_category(tile, learned), ALIKE, Route.PREDICTED).values
             against[FUSED] = sensor
     wanted = [*tokens.values(), *truths.values()]

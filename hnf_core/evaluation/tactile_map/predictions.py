@@ -1,4 +1,4 @@
-"""D_φ and its regression twin, asked about judged tiles; answers are kept under the weights' hash."""
+"""Networks asked about judged tiles; answers are kept under the weights' hash."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ Single = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Asked:
-    """How a network is asked. views: from which of the tile's views on, and up to which. depth, colour: whether it is
-    told."""
+    """How a network is asked. steps, guidance: of a diffusion. views: from which of the tile's views on, and up to
+    which. depth, colour: whether it is told."""
 
     sensor: str = PAIR_SENSORS[0]
     steps: int = DEFAULT_STEPS

@@ -23,6 +23,7 @@ from . import judge
 from .judge import Maps, Picture, TileResult, judge_pictures, judge_spectra
 from .kept import Arrays, Kept
 from .learned import Learned, grey_slopes, learn, made_shards, training_shards
+from .networks import Network, diffusion_of, networks_of
 from .predictions import Asked, predicted
 from .tiles import TOKEN_VIEWS, JudgedTile, judged_tiles
 
@@ -35,8 +36,8 @@ Watch = Callable[[str, int, int], None]
 class Sizes:
     """instances, classes: tiles of held-out instances and of held-out classes. varied: of each, how many with depth or
     colour withheld and with the other sensor. all_pitches: of each, judged as pictures in the two pitches between as
-    well. curve: of the held-out classes, over steps and guidance. made: training tiles made on the fly where there are
-    no pairs."""
+    well. curve: of the held-out classes, over steps and guidance of a diffusion. made: training tiles made on the fly
+    where there are no pairs."""
 
     instances: int = 24
     classes: int = 36
@@ -64,19 +65,25 @@ QUICK = Sizes(
 
 @dataclass(frozen=True)
 class Setup:
-    """data: folder of pairs, None = a few training tiles are made. regression: None leaves it out."""
+    """weights: what is judged. beside: another network to compare, None = none. data: folder of pairs, None = a few
+    training tiles are made."""
 
     weights: MapWeights
-    regression: MapWeights | None = None
+    beside: MapWeights | None = None
     data: Path | None = None
     sizes: Sizes = field(default_factory=Sizes)
     seed: int = 0
     cache: Path | None = None
 
+    @property
+    def networks(self) -> tuple[Network, ...]:
+        """The main one first. Raises UsageError where both are one network."""
+        return networks_of(self.weights, self.beside, self.sizes.steps)
+
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """results: of the tiles. seconds: of processor time a patch. angle_deg: mean over the views."""
+    """results: of the tiles, under judge.PREDICTED. seconds: of processor time a patch. angle_deg: mean over views."""
 
     steps: int
     guidance: float
@@ -95,7 +102,7 @@ class Example:
 
 @dataclass(frozen=True)
 class Measured:
-    """results, pictures: split → …; seconds: of a patch, by method."""
+    """results, pictures: split → …; curve: empty without a diffusion; seconds: of a patch, by method."""
 
     results: Mapping[str, tuple[TileResult, ...]]
     pictures: Mapping[str, tuple[Picture, ...]]
@@ -109,8 +116,8 @@ class Measured:
 
 def measure(setup: Setup, watch: Watch = lambda what, done, total: None) -> Measured:
     """Deterministic: the same setup gives the same figures on the same numpy, times apart. Raises FileError where pairs
-    or the cache cannot be read."""
-    kept, sizes = Kept(setup.cache), setup.sizes
+    or the cache cannot be read, UsageError where both networks are one."""
+    networks, kept, sizes = setup.networks, Kept(setup.cache), setup.sizes
     tiles: dict[str, list[JudgedTile]] = {}
     for split in SPLITS:
         watch(f"tiles, {split}", len(tiles), len(SPLITS))
@@ -129,7 +136,7 @@ def measure(setup: Setup, watch: Watch = lambda what, done, total: None) -> Meas
         for place, tile in enumerate(tiles[split]):
             watch(split, done, len(every))
             maps = _maps(setup, tile, place, learned.neighbours[_rows(done)], learned.grey_m, kept, seconds)
-            results[split].append(judge_spectra(field_weights, encoder, tile, maps, learned))
+            results[split].append(judge_spectra(field_weights, encoder, tile, maps, learned, networks[0].name))
             pictures[split] += judge_pictures(tile, maps)
             examples.append(Example(tile, maps))
             done += 1
@@ -157,9 +164,7 @@ def _maps(
 ) -> Maps:
     first, second = PAIR_SENSORS
     sizes, plain = setup.sizes, Asked(steps=setup.sizes.steps)
-    networks = {judge.DIFFUSION: setup.weights}
-    if setup.regression is not None:
-        networks[judge.REGRESSION] = setup.regression
+    networks = {each.name: each.weights for each in setup.networks}
     asked = {name: (weights, plain) for name, weights in networks.items()}
     if place < sizes.varied:
         asked[judge.NO_DEPTH] = (setup.weights, replace(plain, depth=False))
@@ -216,6 +221,9 @@ def _learned(setup: Setup, tiles: Sequence[JudgedTile], kept: Kept) -> Learned:
 def _curve(
     setup: Setup, tiles: Sequence[JudgedTile], field_weights: Field, encoder: Encoder, kept: Kept, watch: Watch
 ) -> tuple[CurvePoint, ...]:
+    network = diffusion_of(setup.networks)
+    if network is None:
+        return ()
     wanted = [(steps, 1.0) for steps in setup.sizes.curve_steps]
     wanted += [(setup.sizes.steps, each) for each in setup.sizes.guidance if each != 1.0]
     points = []
@@ -223,8 +231,8 @@ def _curve(
         watch("steps and guidance", done, len(wanted))
         results, seconds, angles = [], [], []
         for tile in tiles:
-            answer = predicted(setup.weights, tile, Asked(steps=steps, guidance=guidance), setup.seed, kept)
-            maps: Maps = {judge.DIFFUSION: (PAIR_SENSORS[0], answer.slopes)}
+            answer = predicted(network.weights, tile, Asked(steps=steps, guidance=guidance), setup.seed, kept)
+            maps: Maps = {judge.PREDICTED: (PAIR_SENSORS[0], answer.slopes)}
             results.append(judge_spectra(field_weights, encoder, tile, maps, None))
             seconds.append(answer.seconds)
             angles += [each.angle_deg for each in judge_pictures(tile, maps)]

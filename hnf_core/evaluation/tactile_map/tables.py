@@ -18,16 +18,18 @@ from .run import Measured, Setup
 from .statistics import Interval, mean_interval, ratio_interval
 
 ROWS = (
-    judge.DIFFUSION, judge.REGRESSION, judge.NEIGHBOUR, judge.CLASS_MEAN, judge.MEAN, judge.GREY, judge.FLAT,
+    judge.NEIGHBOUR, judge.CLASS_MEAN, judge.MEAN, judge.GREY, judge.FLAT,
     judge.FUSED, judge.NO_DEPTH, judge.NO_COLOUR, judge.DIGIT, judge.WHOLE, judge.FLOOR, judge.TRUTH,
 )  # fmt: skip
-RIVALS = (judge.NEIGHBOUR, judge.CLASS_MEAN, judge.REGRESSION)
-AIM = 0.5
-"""Of the excess of nearest neighbour and class mean, on held-out classes."""
-_PICTURED = (
-    judge.DIFFUSION, judge.REGRESSION, judge.NEIGHBOUR, judge.GREY, judge.FLAT, judge.NO_DEPTH, judge.NO_COLOUR,
-    judge.DIGIT,
-)  # fmt: skip
+"""Below those of the networks."""
+AIMS = {judge.NEIGHBOUR: 0.5, judge.CLASS_MEAN: 0.5}
+"""Of their excess, on held-out classes."""
+AIM_BESIDE = 1.0
+"""Of the other network's."""
+_PICTURED = (judge.NEIGHBOUR, judge.GREY, judge.FLAT, judge.NO_DEPTH, judge.NO_COLOUR, judge.DIGIT)
+
+Names = Sequence[str]
+"""Rows of the networks, the main one first."""
 
 
 def excess(results: Sequence[TileResult], method: str) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -42,10 +44,10 @@ def of(results: Sequence[TileResult], method: str, part: str) -> np.ndarray[Any,
     return np.array([getattr(each.errors[method], part) for each in results if method in each.errors])
 
 
-def vibration_table(split: str, results: Sequence[TileResult], seed: int) -> Extra:
+def vibration_table(split: str, results: Sequence[TileResult], networks: Names, seed: int) -> Extra:
     """The error that matters, by method."""
     rows, figures = [], {}
-    for method in ROWS:
+    for method in (*networks, *ROWS):
         if not any(method in each.errors for each in results):
             continue
         parts = {part: mean_interval(of(results, method, part), seed) for part in ("total", "level", "shape")}
@@ -68,23 +70,24 @@ def vibration_table(split: str, results: Sequence[TileResult], seed: int) -> Ext
     )
 
 
-def margin_table(split: str, results: Sequence[TileResult], seed: int) -> Extra:
-    """D_φ's excess over each rival's on the same tiles, alone and fused with what the category says."""
+def margin_table(split: str, results: Sequence[TileResult], networks: Names, seed: int) -> Extra:
+    """The main network's excess over each rival's on the same tiles, alone and fused with what the category says."""
     rows, figures = [], {}
-    for method in (judge.DIFFUSION, judge.FUSED):
-        for rival in RIVALS:
+    main, *beside = networks
+    aims = {**AIMS, **dict.fromkeys(beside, AIM_BESIDE)}
+    for method in (main, judge.FUSED):
+        for rival, aim in aims.items():
             if not all(any(name in each.errors for each in results) for name in (method, rival)):
                 continue
             ours, theirs = excess(results, method), excess(results, rival)
             ratio, gain = ratio_interval(ours, theirs, seed), mean_interval(theirs - ours, seed)
-            aim = 1.0 if rival == judge.REGRESSION else AIM
             reached = "reached" if ratio.mean <= aim else "missed"
             rows.append((method, rival, ratio.words(), gain.words(), f"{aim:g}", reached))
             figures[f"{method} / {rival}"] = {"ratio": _figures(ratio), "gain_db": _figures(gain), "aim": aim}
     told = "The aim is for held-out classes." if split != HELD_OUT_CLASSES else ""
     return Extra(
         f"margins, {split}",
-        f"D_φ beside its rivals, {split}",
+        f"Predicted maps beside their rivals, {split}",
         f"Ratio: the excess over the floor as a share of the rival's. Gain: the rival's error less its own. {told}",
         ("map", "rival", "ratio of excess", "gain [dB]", "aim", ""),
         tuple(rows),
@@ -92,10 +95,10 @@ def margin_table(split: str, results: Sequence[TileResult], seed: int) -> Extra:
     )
 
 
-def band_table(split: str, results: Sequence[TileResult]) -> Extra:
+def band_table(split: str, results: Sequence[TileResult], networks: Names) -> Extra:
     """Where along wavelengths the level errs."""
     rows, figures = [], {}
-    for method in ROWS:
+    for method in (*networks, *ROWS):
         bands = [each.bands_db[method] for each in results if method in each.bands_db]
         if not bands or method in (judge.TRUTH, judge.FLAT):
             continue
@@ -112,11 +115,11 @@ def band_table(split: str, results: Sequence[TileResult]) -> Extra:
     )
 
 
-def picture_table(split: str, measured: Measured) -> Extra:
+def picture_table(split: str, measured: Measured, networks: Names) -> Extra:
     """Views as pictures."""
     rows, figures = [], {}
     for sensor in PAIR_SENSORS:
-        for method in _PICTURED:
+        for method in (*networks, *_PICTURED):
             for pitch in PITCHES_M:
                 found = picture_means(measured.pictures[split], method, sensor, pitch)
                 if not found:
@@ -140,11 +143,11 @@ def picture_table(split: str, measured: Measured) -> Extra:
 
 
 def curve_table(measured: Measured, seed: int) -> Extra:
-    """Error over steps and guidance."""
+    """Error over steps and guidance of a diffusion."""
     rows, figures = [], []
     for point in measured.curve:
-        error = mean_interval(of(point.results, judge.DIFFUSION, "total"), seed)
-        above = mean_interval(excess(point.results, judge.DIFFUSION), seed)
+        error = mean_interval(of(point.results, judge.PREDICTED, "total"), seed)
+        above = mean_interval(excess(point.results, judge.PREDICTED), seed)
         rows.append((str(point.steps), f"{point.guidance:g}", error.words(), above.words(), f"{point.angle_deg:.2f}",
                      f"{point.seconds:.2f}"))  # fmt: skip
         figures.append({"steps": point.steps, "guidance": point.guidance, "error_db": _figures(error),
@@ -152,7 +155,7 @@ def curve_table(measured: Measured, seed: int) -> Extra:
                         "seconds": point.seconds})  # fmt: skip
     return Extra(
         "steps",
-        f"Steps and guidance, {HELD_OUT_CLASSES}",
+        f"Steps and guidance of the diffusion, {HELD_OUT_CLASSES}",
         f"{len(measured.curve[0].results)} tiles. Seconds: processor time of a patch of five views, one core, numpy.",
         ("steps", "guidance", "error [dB]", "excess [dB]", "angle [°]", "seconds"),
         tuple(rows),
@@ -162,15 +165,15 @@ def curve_table(measured: Measured, seed: int) -> Extra:
 
 def extras(setup: Setup, measured: Measured) -> tuple[Extra, ...]:
     """All tables, the one that matters first."""
-    out = []
+    out, names = [], tuple(each.name for each in setup.networks)
     for split, results in reversed(list(measured.results.items())):
         out += [
-            vibration_table(split, results, setup.seed),
-            margin_table(split, results, setup.seed),
-            band_table(split, results),
-            picture_table(split, measured),
+            vibration_table(split, results, names, setup.seed),
+            margin_table(split, results, names, setup.seed),
+            band_table(split, results, names),
+            picture_table(split, measured, names),
         ]
-    return (*out, curve_table(measured, setup.seed))
+    return (*out, curve_table(measured, setup.seed)) if measured.curve else tuple(out)
 
 
 def markdown(setup: Setup, measured: Measured) -> str:
@@ -186,7 +189,8 @@ def to_json(setup: Setup, measured: Measured) -> dict[str, Any]:
     return {
         "settings": _settings(setup, measured),
         "weights": setup.weights.fingerprint,
-        "regression": None if setup.regression is None else setup.regression.fingerprint,
+        "beside": None if setup.beside is None else setup.beside.fingerprint,
+        "networks": [each.name for each in setup.networks],
         "seconds": dict(measured.seconds),
         "tables": {extra.key: extra.figures for extra in extras(setup, measured)},
         "tiles": {
@@ -211,7 +215,7 @@ def _settings(setup: Setup, measured: Measured) -> str:
     return (
         f"{sizes.instances} tiles of held-out instances and {sizes.classes} of held-out classes, {sizes.varied} of "
         "each with something withheld or the other sensor; "
-        f"{sizes.steps} steps; stand-ins from {measured.training_views} training views; grey scale = "
+        f"stand-ins from {measured.training_views} training views; grey scale = "
         f"{1e6 * measured.grey_m:.1f} µm; tokens by {measured.encoder}; seed {setup.seed}. Processor time "
         f"of a patch of five views: {timed}."
     )

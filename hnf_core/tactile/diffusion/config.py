@@ -19,7 +19,7 @@ class MapConfig:
     blocks at 32 and at 16 pixels on the way down and on the way up; deep: those at 8, with attention before the last.
     embedding: width of what tells every block the noise level and the conditions. groups: of the group norms.
     sensors: whose membranes it knows. level_mean, level_scale: log10 RMS slope = mean + scale × the network's level.
-    objective: "diffusion" (it predicts v), or "regression", the baseline: one pass, no noise, it predicts x.
+    objective: "regression" (one pass, no noise: it predicts x), or "diffusion" (it predicts v, and is sampled).
     """
 
     channels: tuple[int, int, int] = (48, 96, 160)

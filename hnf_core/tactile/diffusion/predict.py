@@ -1,4 +1,4 @@
-"""From looks to tactile maps: D_φ sampled at run time, in numpy."""
+"""From looks to tactile maps: D_φ at run time, in numpy."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from .weights import MapWeights
 Array = NDArray[np.float32]
 
 DEFAULT_STEPS = 20
+"""Of a diffusion; a regression takes one pass."""
 
 
 def predict(
@@ -35,16 +36,16 @@ def predict(
     steps: int = DEFAULT_STEPS,
     guidance: float = 1.0,
 ) -> tuple[TactileMap, ...]:
-    """The tactile map of every view: what the sensor would show, sampled (route PREDICTED).
+    """The tactile map of every view: what the sensor would show (route PREDICTED).
 
-    The noise of a view is drawn from its seed alone (seed: one for all views, or one each), so that neither its
-    neighbours in the batch nor their order matter, equal views give equal maps, and views that differ by rounding give
-    maps that differ as little. The pattern is a sample, one of many that suit the look; the level starts from the
-    middle of its noise, 0, which DDIM carries to the median of the levels that suit it. guidance: 1 = the plain
-    conditional model. height is integrated from the predicted slopes of the membrane (tilt and anything longer than the
-    view is not in it). Weights of the regression baseline take one pass and no noise. Raises UsageError for an unknown
-    sensor, one that the weights were not trained for, a view of another shape or pitch, seeds that are not as many as
-    the views, or impossible steps.
+    Neither a view's neighbours in the batch nor their order matter, equal views give equal maps, and views that differ
+    by rounding give maps that differ as little. Weights of a regression, such as the shipped ones, give the conditional
+    mean in one pass; seed and steps change nothing. Those of a diffusion give a sample in so many steps: the noise of a
+    view is drawn from its seed alone (seed: one for all views, or one each), and the pattern is one of many that suit
+    the look; the level starts from the middle of its noise, 0, which DDIM carries to the median of the levels that suit
+    it. guidance: 1 = the plain conditional model. height is integrated from the predicted slopes of the membrane (tilt
+    and anything longer than the view is not in it). Raises UsageError for an unknown sensor, one that the weights were
+    not trained for, a view of another shape or pitch, seeds that are not as many as the views, or impossible steps.
     """
     if sensor_by_name(sensor).name not in weights.config.sensors:
         raise UsageError(
@@ -75,7 +76,7 @@ def predict_slopes(
     guidance: float = 1.0,
     rgb_known: bool = True,
 ) -> Array:
-    """(2, 64, 64) sampled slopes ∂h/∂x, ∂h/∂y of the membrane in one view. rgb_known: False withholds the colours."""
+    """(2, 64, 64) predicted slopes ∂h/∂x, ∂h/∂y of the membrane in one view. rgb_known: False withholds the colours."""
     config = weights.config
     look = look_of_view(view, rgb_known)
     free = look_of_view(view, rgb_known=False) if guidance != 1.0 else None

@@ -1,4 +1,4 @@
-"""What one step of training minimises, and how a trained network is sampled."""
+"""What one step of training minimises, and what a trained network predicts."""
 
 from __future__ import annotations
 
@@ -63,8 +63,8 @@ def level_of(batch: Batch, config: MapConfig) -> Array:
 
 
 def sampled(network: MapNetwork, batch: Batch, seed: int, steps: int) -> tuple[Array, Array]:
-    """Slopes (n, 2, 64, 64) of unit RMS, a sample each, and the median log10 RMS (n,) that the network sees in the
-    looks of a batch: what tactile.diffusion.predict computes."""
+    """Slopes (n, 2, 64, 64) of unit RMS and log10 RMS (n,) that the network sees in the looks of a batch: what
+    tactile.diffusion.predict computes. A sample and the median of the level, or of a regression the mean of both."""
     rng = np.random.default_rng(seed)
     config, count = network.config, len(batch)
 

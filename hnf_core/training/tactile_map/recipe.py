@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from ...datasets.tactile_pairs import HELD_OUT_CLASSES, HELD_OUT_INSTANCES, TRAIN, load_pairs
-from ...tactile.diffusion.config import MapConfig
+from ...tactile.diffusion.config import DIFFUSION, REGRESSION, MapConfig
 from ...tactile.diffusion.weights import save_map_weights
 from .fit import Fitted, Plan, Watch, fit
 
 LICENCE = "GPL-3.0-or-later"
+RATES = {DIFFUSION: 1e-3, REGRESSION: 2e-3}
+"""Of learning, by objective."""
 
 
 def train_map(

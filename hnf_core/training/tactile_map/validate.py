@@ -23,8 +23,8 @@ CHUNK = 32
 @dataclass(frozen=True)
 class Distance:
     """On one split. pattern_loss, level_loss: mean squared error of v (regression: x). level_db: median |error| of the
-    sampled RMS slope. band_db: median |error| of a token band's slope power, over views and their four bands; None
-    where nothing was sampled."""
+    predicted RMS slope. band_db: median |error| of a token band's slope power, over views and their four bands; None
+    where no map was predicted."""
 
     pattern_loss: float
     level_loss: float
@@ -35,7 +35,7 @@ class Distance:
         words = f"loss {self.pattern_loss:.4f} + level {self.level_loss:.4f}"
         if self.level_db is None:
             return words
-        return f"{words}, sampled RMS slope {self.level_db:.2f} dB off, band power {self.band_db:.2f} dB off"
+        return f"{words}, RMS slope {self.level_db:.2f} dB off, band power {self.band_db:.2f} dB off"
 
 
 def chosen(pairs: Pairs, views: int, seed: int) -> list[Batch]:
@@ -48,7 +48,7 @@ def chosen(pairs: Pairs, views: int, seed: int) -> list[Batch]:
 def distances(
     network: MapNetwork, splits: Mapping[str, Pairs], views: int, seed: int, steps: int | None
 ) -> dict[str, Distance]:
-    """Of every split, on `views` of its views; sampled with so many DDIM steps, not at all where steps is None."""
+    """Of every split, on `views` of its views. steps: of a diffusion where maps are predicted; None = none are."""
     return {name: _distance(network, chosen(pairs, views, seed), seed, steps) for name, pairs in splits.items()}
 
 
