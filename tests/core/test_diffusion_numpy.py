@@ -13,7 +13,7 @@ from tactile_networks import SMALL, architecture, look, random_parameters, rando
 
 from hnf_core.errors import FileError, UsageError, WeightsError
 from hnf_core.tactile.diffusion.conditions import look_of_view
-from hnf_core.tactile.diffusion.config import REGRESSION, MapConfig
+from hnf_core.tactile.diffusion.config import DIFFUSION, REGRESSION, MapConfig
 from hnf_core.tactile.diffusion.network import network_of
 from hnf_core.tactile.diffusion.predict import predict, predict_slopes
 from hnf_core.tactile.diffusion.sampling import denoise
@@ -83,12 +83,14 @@ def test_the_schedule_is_the_one_of_diffusers(steps):
         np.testing.assert_allclose(own, sample.numpy(), atol=1e-9)
 
 
-def test_maps_have_the_views_shape_and_the_sensors_optics():
+@pytest.mark.parametrize("objective", [DIFFUSION, REGRESSION])
+def test_maps_have_the_views_shape_and_the_sensors_optics(objective):
+    weights = random_weights(objective=objective)
     views = [look(0), look(1, 3, depth_known=False)]
     for sensor in SENSORS:
         if sensor not in MapConfig().sensors:
             continue
-        for view, found in zip(views, predict(random_weights(), views, sensor, seed=3, steps=2), strict=True):
+        for view, found in zip(views, predict(weights, views, sensor, seed=3, steps=2), strict=True):
             assert found.image.shape == (64, 64, 3)
             assert found.image.dtype == found.height.dtype == np.float32
             assert np.isfinite(found.image).all()
@@ -107,10 +109,10 @@ def test_the_seed_fixes_every_byte_and_another_gives_another_map():
     assert not any(same(a, b) for a, b in zip(once, other, strict=True))
 
 
-@given(order=st.permutations(range(4)), chosen=st.integers(1, 4))
-@settings(max_examples=6, deadline=None)
-def test_neighbours_and_order_do_not_matter(order, chosen):
-    weights, views = random_weights(), [look(index, index) for index in range(4)]
+@given(order=st.permutations(range(4)), chosen=st.integers(1, 4), objective=st.sampled_from([DIFFUSION, REGRESSION]))
+@settings(max_examples=12, deadline=None)
+def test_neighbours_and_order_do_not_matter(order, chosen, objective):
+    weights, views = random_weights(objective=objective), [look(index, index) for index in range(4)]
     alone = [predict(weights, [view], "gelsight", seed=1, steps=2)[0] for view in views]
     picked = list(order)[:chosen]
     together = predict(weights, [views[index] for index in picked], "gelsight", seed=1, steps=2)
@@ -127,9 +129,10 @@ def silent(*layers: str):
     return dataclasses.replace(weights, network=network_of(weights.config, parameters))
 
 
-def test_what_differs_by_rounding_gives_nearly_the_same_map():
+@pytest.mark.parametrize("objective", [DIFFUSION, REGRESSION])
+def test_what_differs_by_rounding_gives_nearly_the_same_map(objective):
     """So that a surface feels the same wherever its scene stands."""
-    weights, view = random_weights(), look(0)
+    weights, view = random_weights(objective=objective), look(0)
     moved = dataclasses.replace(view, rgb=view.rgb + np.float32(1e-6))
     one, other = (predict_slopes(weights, each, "gelsight", 1, 3) for each in (view, moved))
     assert np.std(other - one) < 1e-3 * np.std(one)
@@ -179,10 +182,11 @@ def test_a_flat_look_is_no_division_by_zero():
     assert np.isfinite(found.image).all()
 
 
-def test_the_baseline_needs_neither_noise_nor_steps():
+def test_a_regression_needs_neither_noise_nor_steps():
     weights = random_weights(objective=REGRESSION)
     one, other = (predict_slopes(weights, look(0), "digit", seed, steps) for seed, steps in ((1, 20), (2, 1)))
     np.testing.assert_array_equal(one, other)
+    assert np.abs(predict_slopes(weights, look(1), "digit", 1) - one).max() > 1e-4
 
 
 def test_what_cannot_be_predicted_is_refused():
@@ -256,8 +260,9 @@ def test_missing_damaged_foreign_and_infinite_files_are_named(tmp_path):
         save_map_weights(tmp_path / "x.safetensors", config, {"enter.bias": np.array([1e9], "f4")}, {})
 
 
-def test_every_pitch_is_told_apart():
-    weights, view = random_weights(), look(0)
+@pytest.mark.parametrize("objective", [DIFFUSION, REGRESSION])
+def test_every_pitch_is_told_apart(objective):
+    weights, view = random_weights(objective=objective), look(0)
     maps = [
         predict_slopes(weights, dataclasses.replace(view, pitch_m=p, depth_m=view.depth_m * 0, depth_known=False),
                        "digit", 0, 1)
