@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import Phase, given, settings
+from hypothesis import Phase, example, given, settings
 from hypothesis import strategies as st
 
 from hnf_core.errors import UsageError
@@ -165,9 +165,10 @@ def test_a_small_shift_changes_little(seed, down, across):
 
 
 @settings(max_examples=8, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
+@example(random_height(11904, 3.94, 3.68, 1e-6))
 @given(surfaces)
 def test_the_token_agrees_with_a_plain_spectrum_of_the_height(height):
-    """Reference: the height itself less its best quadric, one complex FFT, sharp bands, loops."""
+    """Reference: the height itself less its best quadric, one complex FFT, bins on an edge shared as E does, loops."""
     window = np.outer(np.hanning(SIZE + 2)[1:-1], np.hanning(SIZE + 2)[1:-1])
     quadric = np.stack([g.ravel() for g in (X**0, X, Y, X * X, X * Y, Y * Y)], axis=1) / [
         1,
@@ -180,17 +181,19 @@ def test_the_token_agrees_with_a_plain_spectrum_of_the_height(height):
     power = np.abs(np.fft.fft2(window * rest)) ** 2 / (SIZE**2 * np.sum(window**2))
     fy, fx = -np.fft.fftfreq(SIZE, PITCH)[:, None], np.fft.fftfreq(SIZE, PITCH)[None, :]
     theta, f = np.arctan2(fy, fx), np.hypot(fx, fy)
-    edges = band_edges_per_metre()
+    above = [np.clip((f - edge) * SIDE + 0.5, 0.0, 1.0) for edge in band_edges_per_metre()]
     values = describe(tactile(height)).values
     for band in BANDS:
-        inside = (f >= edges[band]) & (f < edges[band + 1])
-        p = power[inside]
+        share = above[band] - above[band + 1]
+        p = power * share
         level, cos2, sin2, cos4, sin4, _, _ = values[band_slice(band)]
-        # The longest bands hold few bins: there it weighs that E shares those on an edge between both sides.
-        loose = 3.0 / np.sqrt(inside.sum())
-        assert level == pytest.approx(0.5 * np.log10(p.sum()), abs=0.01 + 0.3 * loose)
-        sums = [(p * wave(n * theta[inside])).sum() / p.sum() for n in (2, 4) for wave in (np.cos, np.sin)]
-        np.testing.assert_allclose([cos2, sin2, cos4, sin4], sums, atol=0.01 + loose)
+        # Where few bins hold the power, it weighs that E's window is on slopes and this one on heights.
+        loose = np.sqrt((p**2).sum()) / p.sum()
+        assert level == pytest.approx(0.5 * np.log10(p.sum()), abs=0.01 + 0.5 * loose)
+        # What the total is off by, within that bound, its parts are shares of.
+        diluted = abs(p.sum() / 10.0 ** (2.0 * float(level)) - 1.0)
+        sums = [(p * wave(n * theta)).sum() / p.sum() for n in (2, 4) for wave in (np.cos, np.sin)]
+        np.testing.assert_allclose([cos2, sin2, cos4, sin4], sums, atol=0.01 + 0.9 * loose + diluted)
 
 
 def test_pits_and_grains_have_opposite_skewness_and_sparse_ones_high_kurtosis():
