@@ -10,7 +10,7 @@ from hnf_core.tactile.tactile_map import Route
 
 from .report import Failed, Skipped
 
-CLOSEUP_SECONDS, PREDICTION_SECONDS, PICTURE_SECONDS, SYNTHESIS_SECONDS = 0.7, 1.0, 3.0, 0.5
+CLOSEUP_SECONDS, PREDICTION_SECONDS, PICTURE_SECONDS, SYNTHESIS_SECONDS = 0.7, 0.1, 2.5, 0.5
 """Rough cost on two cores, for the estimate only."""
 TYPICAL_PATH_M, PATCH_PITCH_M = 60e-3, 10e-3
 
@@ -135,7 +135,7 @@ class Plan:
 def _route_line(slot: SlotPlan, predictions: int) -> str:
     said = ""
     if slot.route is Route.PREDICTED:
-        said = f", at most {predictions} patches, {predictions * PREDICTION_SECONDS:.0f} s"
+        said = f", at most {predictions} patches, {predictions * PREDICTION_SECONDS:.1f} s"
     return f"    {slot.material or 'no material'}: {slot.route.value} ({slot.why}){said}"
 
 
