@@ -1,7 +1,7 @@
 """Run every check in its environment, two at a time, and end with one merged summary in pytest's own form.
 
     .venv/bin/python tools/run_tests.py             lint, types, core on numpy 1.26 and 1.24, and tests/blender
-                                                    on bpy 5.0, 4.5 and 4.2, but for what without() names
+                                                    on bpy 5.0, 4.5 and 4.2
     .venv/bin/python tools/run_tests.py app         the real, windowed Blender
     .venv/bin/python tools/run_tests.py core types  some of them by name
 
@@ -53,27 +53,21 @@ def without(folder: str, *names: str) -> tuple[str, ...]:
     return (folder, *(f"--ignore-glob=*/{name}.py" for name in names))
 
 
-# Minutes each; the oldest and the newest Blender agree on them.
-TWICE_IS_ENOUGH = ("test_real_scenes", "test_*predicted*", "test_touch", "test_touch_bad_input")
-# Real time, other processes, compilers, words: nothing that another numpy could change.
+# Two minutes each; the oldest and the newest Blender agree on them.
+ONCE_IS_ENOUGH = ("test_real_scenes",)
+# Real time, other processes, compilers and words: nothing that another numpy could change.
 SAME_ON_EVERY_NUMPY = (
     "test_faults*", "test_audio_sink", "test_player", "test_serial_s*", "test_osc_sink", "test_firmware_*",
     "test_stream_cli", "test_measure_sound", "test_make_tools", "test_tree", "test_docs",
-)  # fmt: skip
-# Training and judging: numpy 1.24 is Blender 4.2's, where neither is done.
-NOT_DONE_IN_BLENDER = (
-    "test_alignment*", "test_baselines_*", "test_contact_sheet", "test_datasets_*", "test_encoder_comparison",
-    "test_eval*", "test_look", "test_optics_check", "test_pair_shards", "test_second_make", "test_tactile_pairs",
-    "test_train_*",
 )  # fmt: skip
 
 # The longest first, so that two workers end at about the same time.
 CHECKS = (
     Check("blender-5.0", ".venv", ("tests/blender",), 1200),
     Check("blender-4.2", ".venv-4.2", ("tests/blender",), 1200, can_end=False),
-    Check("blender-4.5", ".venv-4.5", without("tests/blender", *TWICE_IS_ENOUGH), 1200, can_end=False),
-    Check("core", ".venv", ("tests/core",), 1200),
-    Check("core-numpy-1.24", ".venv-4.2", without("tests/core", *SAME_ON_EVERY_NUMPY, *NOT_DONE_IN_BLENDER), 900),
+    Check("blender-4.5", ".venv-4.5", without("tests/blender", *ONCE_IS_ENOUGH), 1200, can_end=False),
+    Check("core", ".venv", ("tests/core",), 900),
+    Check("core-numpy-1.24", ".venv-4.2", without("tests/core", *SAME_ON_EVERY_NUMPY), 900),
     Check("types", ".venv", ("-m", "mypy"), 600, is_pytest=False),
     Check("lint", ".venv", ("-m", "ruff", "check", "."), 120, is_pytest=False),
 )
