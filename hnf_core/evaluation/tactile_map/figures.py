@@ -80,12 +80,12 @@ def excess_picture(path: Path, measured: Measured, networks: Sequence[Network], 
     names = [name for name in rows if any(name in each.errors for each in results)]
     above = [mean_interval(excess(results, name), seed) for name in names]
     floor = mean_interval(of(results, judge.FLOOR, "total"), seed)
-    size = (1000, 96 + 34 * len(names))
+    size = (1020, 96 + 34 * len(names))
 
     def draw(figure: Figure) -> None:
         figure.text(0.02, 1.0 - 26 / size[1], "Vibration from guessed maps, classes never trained on", fontsize=14,
                     fontweight="bold")  # fmt: skip
-        axes = figure.add_axes((330 / size[0], 54 / size[1], (size[0] - 360) / size[0], (size[1] - 100) / size[1]))
+        axes = figure.add_axes((350 / size[0], 54 / size[1], (size[0] - 380) / size[0], (size[1] - 100) / size[1]))
         place = np.arange(len(names))[::-1]
         axes.barh(place, [each.mean for each in above], color=[_colour(name, networks) for name in names], height=0.62)
         spread = np.array([[each.mean - each.low, each.high - each.mean] for each in above]).T
