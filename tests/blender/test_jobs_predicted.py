@@ -44,6 +44,6 @@ def test_the_plan_tells_which_surface_is_read_and_counts_its_time(tmp_path, monk
     said = f"material '{PHOTO_PLATE}': it has no relief; one is estimated from its picture."
     assert said in [line.what for line in plan.lines if line.kind == "note"]
     assert said not in [line.what for line in without.lines]
-    assert plan.seconds == pytest.approx(without.seconds + 3.0)
+    assert plan.seconds == pytest.approx(without.seconds + 0.3)
     bpy.data.objects["Along"].hnf_stroke.material = "oak-wood"
     assert said not in [line.what for line in make_plan(scene, layer).lines]
