@@ -17,7 +17,7 @@ from hnf_core.tactile.diffusion.blas import one_blas_thread
 from hnf_core.tactile.diffusion.predict import DEFAULT_STEPS, predict
 from hnf_core.tactile.diffusion.weights import DEFAULT_WEIGHTS, MapWeights, load_map_weights
 from hnf_core.tactile.tactile_map import Route, TactileMap
-from hnf_core.tactile.views import PITCHES_M, LookView, cut_views
+from hnf_core.tactile.views import PITCHES_M, LookView, contrast, cut_views
 
 from ..bridge.look import Look
 from .store import Prediction
@@ -28,6 +28,11 @@ SHARP_WAVE_M = 2.0 * PITCHES_M[0]
 COARSEST_WAVE_M = 1e-3
 """A picture must show waves as short as this. It is then softer than the widest view, though not softer than D_φ knows:
 of 1 mm the blur of its training pictures (σ up to 0.6 pixels) leaves a half."""
+
+FAINTEST = 1.0 / 255.0
+"""Contrast of a view (tactile.views.contrast): one level of an eight-bit picture. One in a hundred training views is
+fainter; a plain colour says nothing, and D_φ, which never met any, would make a pattern of it. bridge.look says the
+same of a whole patch."""
 
 
 class Seeing:
@@ -53,7 +58,7 @@ class Seeing:
     @property
     def content_id(self) -> str:
         """Changes with everything that a prediction of an equal picture follows from."""
-        return content_hash(self.weights_hash, self.predicted.content_id, f"{SENSOR} {DEFAULT_STEPS}")
+        return content_hash(self.weights_hash, self.predicted.content_id, f"{SENSOR} {DEFAULT_STEPS} {FAINTEST:g}")
 
     @property
     def missing(self) -> str:
@@ -67,10 +72,12 @@ class Seeing:
         )
 
     def views_of(self, look: Look, mask: NDArray[np.bool_], metres_per_pixel: float) -> tuple[LookView, ...]:
-        """What D_φ is shown of a patch; empty where the picture is too coarse, or too little of it is seen."""
+        """What D_φ is shown of a patch; empty where the picture is too coarse, of one colour, or too little of it is
+        seen."""
         resolved = look.resolved_wavelength_m
         soft = SHARP_WAVE_M < resolved <= COARSEST_WAVE_M
-        return cut_views(look.linear, look.depth_m, mask, metres_per_pixel, SHARP_WAVE_M if soft else resolved)
+        views = cut_views(look.linear, look.depth_m, mask, metres_per_pixel, SHARP_WAVE_M if soft else resolved)
+        return tuple(view for view in views if contrast(view.rgb) >= FAINTEST)
 
     def predict(self, look: Look, views: tuple[LookView, ...], seed: int) -> Prediction:
         """One call of D_φ for all views of a patch, then E of each map, merged. Equal input gives equal bytes. seed: of
@@ -115,7 +122,7 @@ def why_unread(look: Look) -> str:
             f"its picture ({look.source}) shows no wave below {look.resolved_wavelength_m * 1e3:.2g} mm, and "
             f"{COARSEST_WAVE_M * 1e3:g} mm is needed to estimate relief from it; its name and look decide"
         )
-    return "too little of it is seen in one piece to estimate relief from its picture; its name and look decide"
+    return "too little of its picture is seen in one piece, or varies, to estimate relief; its name and look decide"
 
 
 @lru_cache(maxsize=2)

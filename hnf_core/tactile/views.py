@@ -78,6 +78,14 @@ def cut_views(
     )
 
 
+def contrast(rgb: ArrayLike) -> float:
+    """How much a picture (…, 3) of linear colour varies: the deviation of its square root (what eight bits store, 0–1)
+    in the channel that varies most. What is not finite does not count; 0 where nothing does."""
+    encoded = np.sqrt(np.clip(np.asarray(rgb, dtype=np.float64).reshape(-1, 3), 0.0, 1.0))
+    seen = encoded[np.isfinite(encoded).all(axis=1)]
+    return float(seen.std(axis=0).max()) if len(seen) else 0.0
+
+
 def view_places(
     seen: Mask, metres_per_pixel: float, resolved_wavelength_m: float, near: int
 ) -> list[tuple[float, NDArray[np.intp]]]:

@@ -20,7 +20,7 @@ from typing import Any
 import build_extension
 import pytest
 
-from hnf_core.field.weights import DEFAULT_WEIGHTS, HELD_OUT_WEIGHTS, encoders_of, load_field
+from hnf_core.field.weights import DEFAULT_WEIGHTS, EVERY_ENCODER_WEIGHTS, HELD_OUT_WEIGHTS, encoders_of, load_field
 from hnf_core.material.alexnet.weights import DEFAULT_ENCODER
 from hnf_core.material.encoders import PREFERRED, default_encoder
 from hnf_core.material.token import ALEXNET_ID, ENCODER_ID
@@ -128,7 +128,7 @@ def test_the_zip_holds_code_data_licence_and_wheels_and_nothing_else(archive: Pa
 def test_no_route_needs_what_the_zip_leaves_out() -> None:
     """E's network has to go into the zip together with the first field that knows its tokens."""
     left_out = {build_extension.ROOT / name for name in build_extension.LEFT_OUT}
-    assert {DEFAULT_ENCODER, HELD_OUT_WEIGHTS} == left_out
+    assert {DEFAULT_ENCODER, EVERY_ENCODER_WEIGHTS, HELD_OUT_WEIGHTS} == left_out
     assert left_out.isdisjoint({DEFAULT_WEIGHTS, DEFAULT_MAP_WEIGHTS})
     known = encoders_of(load_field().metadata)
     assert {default_encoder(route, known).name for route in PREFERRED} == {ENCODER_ID}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 import pytest
@@ -10,10 +12,12 @@ from closeup_builders import principled
 from predicted_scene import PHOTO_PLATE, bake_open_scene, photo, photo_material, photo_plate, small_weights, use_weights
 from touch_scene import line_stroke
 
+from hnf_blender.bridge.look import Look
 from hnf_blender.touch import bake, seeing
 from hnf_blender.touch.feel import feel
 from hnf_core.field.weights import load_field
 from hnf_core.tactile.tactile_map import Route
+from hnf_core.tactile.views import cut_views
 
 PRIOR = ["prior"] * 7
 
@@ -86,6 +90,22 @@ def test_a_coarse_photo_is_said_to_be_too_coarse(tmp_path) -> None:
     (said,) = [text for text in baked.report.warnings if "shows no wave below 2 mm" in text]
     assert f"material '{PHOTO_PLATE}'" in said
     assert "1 mm is needed" in said
+
+
+def test_where_a_picture_is_of_one_colour_it_is_not_read() -> None:
+    """A print on the left half of a patch: views of the plain half would be told a pattern that nobody drew."""
+    rgb = np.full((512, 512, 3), 140, dtype=np.uint8)
+    rgb[:, :256] = np.rint(255.0 * np.sqrt(photo(512)[:, :256]))
+    pixel_m = 20e-3 / 512
+    look = Look(rgb, np.zeros((512, 512), dtype=np.float32), 2.0 * pixel_m, "a print")
+    mask = np.ones((512, 512), dtype=bool)
+    every = cut_views(look.linear, look.depth_m, mask, pixel_m, look.resolved_wavelength_m)
+    read = seeing.Seeing().views_of(look, mask, pixel_m)
+    assert 1 < len(read) < len(every)
+    assert read[0].pitch_m == every[0].pitch_m
+    assert all(view.rgb.std(axis=(0, 1)).max() > 0.01 for view in read)
+    plain = replace(look, rgb=np.full_like(rgb, 140))
+    assert seeing.Seeing().views_of(plain, mask, pixel_m) == ()
 
 
 def test_a_soft_photo_tells_no_more_than_it_shows(tmp_path) -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hnf_core.errors import UsageError
 from hnf_core.material.token import BAND_WAVELENGTHS_M
-from hnf_core.tactile.views import PITCHES_M, VIEW_PIXELS, band_limited, cut_views, decimated_tile
+from hnf_core.tactile.views import PITCHES_M, VIEW_PIXELS, band_limited, contrast, cut_views, decimated_tile
 
 NATIVE = PITCHES_M[-1]
 SIDE = 512
@@ -139,3 +139,14 @@ def test_shapes_that_do_not_fit_are_refused():
     ):
         with pytest.raises(UsageError):
             bad()
+
+
+@given(st.integers(0, 2**16), st.floats(0.0, 0.2), st.floats(0.3, 0.7))
+def test_contrast_is_the_spread_of_what_eight_bits_store(seed, spread, middle):
+    """Half of the pixels above, half below, anywhere; what was not seen does not count."""
+    way = np.random.default_rng(seed).permutation(np.repeat([-1.0, 1.0], 32)).reshape(8, 8, 1)
+    rgb = np.square(middle + spread * way) * np.ones(3)
+    assert contrast(rgb) == pytest.approx(spread, abs=1e-9)
+    holed = np.concatenate([rgb, np.full((2, 8, 3), np.nan)])
+    assert contrast(holed) == pytest.approx(contrast(rgb), abs=1e-12)
+    assert contrast(np.full((4, 4, 3), np.nan)) == 0.0
