@@ -164,8 +164,11 @@ def reason_text(reason: str) -> str:
     values = [part for part in parts if part.endswith((" fits", " does not fit")) and not part.startswith(RELIEF)]
     said = [tr("the name says {words}").format(words=named)] if named else []
     said += [tr("a picture's name says {words}").format(words=pictured)] if pictured else []
-    relief = [_relief_text(part) for part in parts if part.startswith(RELIEF)]
-    return "; ".join(said + values + relief) or tr(reason)
+    like = [_likeness_text(part) for part in parts if part.startswith(f"{RELIEF} is like ")]
+    told = "; ".join(said + values + like)
+    if told and any(part.startswith(RELIEF) and part.endswith(" does not fit") for part in parts):
+        return tr("{reasons}, though its relief does not fit").format(reasons=told)
+    return told or tr(reason)
 
 
 def height_text(metres: float) -> str:
@@ -190,10 +193,9 @@ def stiffness_text(newton_per_metre: float, factor: float) -> str:
     )
 
 
-def _relief_text(part: str) -> str:
+def _likeness_text(part: str) -> str:
     """ "its relief is like denim's" in the interface's language."""
-    like = re.fullmatch(rf"{RELIEF} is like (.+)'s", part)
-    return tr("its relief does not fit") if like is None else tr("its relief is like {name}").format(name=like[1])
+    return tr("its relief is like {name}").format(name=part.removeprefix(f"{RELIEF} is like ").removesuffix("'s"))
 
 
 def sure_text(confidence: float) -> str:

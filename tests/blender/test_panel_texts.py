@@ -68,6 +68,9 @@ def test_reasons_tell_pictures_and_relief_apart_from_names() -> None:
         "the name says wood; a picture's name says oak; colour fits; its relief is like oak-wood"
     )
     assert texts.reason_text("its relief does not fit") == "its relief does not fit"
+    assert texts.reason_text("'plate' in 'Plate'; its relief does not fit") == (
+        "the name says plate, though its relief does not fit"
+    )
 
 
 @pytest.mark.parametrize(
