@@ -8,7 +8,6 @@ import numpy as np
 
 from ..errors import UsageError
 from ..signal import Signal
-from ..units import STANDARD_GRAVITY
 from .limits import Limits
 from .response import Response
 
@@ -68,35 +67,9 @@ PROFILES: dict[str, ActuatorProfile] = {
             # Full scale is the peak of a sine of 0.5 A RMS; 0.25 A for a tenth of the time is 0.079 A RMS for ever.
             sustained=0.11,
         ),
-        ActuatorProfile(
-            "alps-aft14a903a",
-            "Alps Alpine Haptic Reactor AFT14A903A",
-            "Alps Alpine, product specification AFT14A903A Ver. 4.00, 2026, as copied by others: resonances at 160 and "
-            "320 Hz; 29.4 and 22.3 m/s² there, each ± 9.8, on 0.1 kg at the rated 3.0 V",
-            range_hz=(160.0, 320.0),
-            peak_m_s2=29.4,
-        ),
-        ActuatorProfile(
-            "tactile-labs-tl002-14r",
-            "Tactile Labs Haptuator Redesign",
-            "Tactile Labs, Haptuator Redesign TL002-14R, product specification R1.0, 2014, as copied by others: "
-            "50–500 Hz; 2.5 g at 1 V and 150 Hz on 20 g in all; 3.0 V and 0.5 A at most",
-            range_hz=(50.0, 500.0),
-            # Of 1 V. How much 3 V give is not stated, and a spring need not be linear so far.
-            peak_m_s2=2.5 * STANDARD_GRAVITY,
-        ),
-        ActuatorProfile(
-            "tdk-powerhap-15g",
-            "TDK PowerHap 15G",
-            "TDK, announcements of 2016 and 2018, as printed in the trade press: 1 Hz – 1 kHz; 15 g expected on 100 g; "
-            "0–120 V",
-            range_hz=(1.0, 1000.0),
-            peak_m_s2=15.0 * STANDARD_GRAVITY,
-        ),
     )
 }
-"""Figures of their makers alone, with the document that states them; docs/streaming.md says where each was read. Any
-other device is told by own_profile()."""
+"""Only what its maker's own document was read for; any other device is told by own_profile()."""
 
 OWN = "own"
 

@@ -151,7 +151,7 @@ def _listed(found: Devices) -> dict[str, Any]:
 def _limits_in_words(profile: ActuatorProfile) -> str:
     low, high = profile.range_hz or (None, None)
     band = f"{low:g} to {high:g} Hz" if low is not None else "range not known"
-    peak = f"{profile.peak_m_s2:.3g} m/s²" if profile.peak_m_s2 is not None else "largest acceleration not stated"
+    peak = f"{profile.peak_m_s2:g} m/s²" if profile.peak_m_s2 is not None else "largest acceleration not stated"
     return f"{band}, {peak}"
 
 

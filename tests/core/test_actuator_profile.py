@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,8 +12,6 @@ from hypothesis import strategies as st
 from hnf_core.actuators.profile import GENERIC, PROFILES, ActuatorProfile, levels_of, own_profile, profile_of
 from hnf_core.errors import UsageError
 from hnf_core.signal import Signal
-
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "streaming.md"
 
 
 def tone(frequency: float, peak: float, seconds: float = 1.0) -> Signal:
@@ -62,35 +58,6 @@ def test_profiles_name_their_source_and_make_sense() -> None:
         # A largest acceleration means nothing without the range it holds in.
         assert profile.peak_m_s2 is None or profile.range_hz is not None
         assert profile_of(name) is profile
-
-
-MAKERS = [profile for profile in PROFILES.values() if profile is not GENERIC]
-
-
-@pytest.mark.parametrize("profile", MAKERS, ids=lambda each: each.name)
-def test_a_makers_device_names_the_document_and_the_page_says_where_it_was_read(profile: ActuatorProfile) -> None:
-    """What the page says is what the profile has: band, largest acceleration, and where both come from."""
-    maker, year = profile.source.split(",")[0], re.search(r"\b20\d\d\b", profile.source)
-    rows = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith(f"| `{profile.name}` |")]
-    assert len(rows) == 1
-    _, _, band, peak, _, stated, _ = rows[0].split("|")
-    assert profile.range_hz is not None
-    assert band.strip() == f"{profile.range_hz[0]:g}–{profile.range_hz[1]:g} Hz"
-    assert peak.strip().startswith("not stated" if profile.peak_m_s2 is None else f"{profile.peak_m_s2:.1f}")
-    assert year is not None
-    assert all(word in stated for word in (maker, year[0], "](http"))
-
-
-def test_what_makers_do_not_state_is_left_to_the_generic_limits() -> None:
-    for profile in MAKERS:
-        assert profile.thermal_s is None
-        assert profile.limits.thermal_s == GENERIC.limits.thermal_s
-        assert profile.limits.full_scale_m_s2 == (profile.peak_m_s2 or GENERIC.peak_m_s2)
-
-
-def test_a_duty_cycle_bounds_what_is_carried_for_ever() -> None:
-    """EAI: 0.25 A RMS for a tenth of the time, of a sine of 0.5 A RMS, whose peak is full scale."""
-    assert PROFILES["eai-c-mf"].sustained == pytest.approx(0.25 * math.sqrt(0.1) / (0.5 * math.sqrt(2.0)), rel=0.02)
 
 
 @given(st.floats(0.0, 1e3), st.floats(0.1, 5e3), st.floats(0.1, 5e3))
