@@ -122,7 +122,10 @@ def why_unread(look: Look) -> str:
             f"its picture ({look.source}) shows no wave below {look.resolved_wavelength_m * 1e3:.2g} mm, and "
             f"{COARSEST_WAVE_M * 1e3:g} mm is needed to estimate relief from it; its name and look decide"
         )
-    return "too little of its picture is seen in one piece, or varies, to estimate relief; its name and look decide"
+    return (
+        "its picture is of one colour there, or too little of it is seen in one piece, to estimate relief from it; its "
+        "name and look decide"
+    )
 
 
 @lru_cache(maxsize=2)

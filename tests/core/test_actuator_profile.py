@@ -60,6 +60,11 @@ def test_profiles_name_their_source_and_make_sense() -> None:
         assert profile_of(name) is profile
 
 
+def test_a_duty_cycle_bounds_what_is_carried_for_ever() -> None:
+    """EAI: 0.25 A RMS for a tenth of the time, of a sine of 0.5 A RMS, whose peak is full scale."""
+    assert PROFILES["eai-c-mf"].sustained == pytest.approx(0.25 * math.sqrt(0.1) / (0.5 * math.sqrt(2.0)), rel=0.02)
+
+
 @given(st.floats(0.0, 1e3), st.floats(0.1, 5e3), st.floats(0.1, 5e3))
 def test_an_own_actuator_is_what_its_owner_says(peak: float, one_end: float, other_end: float) -> None:
     profile = own_profile(peak, one_end, other_end)
