@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -51,8 +52,8 @@ def _write_into_device(path: Path, write: Callable[[Path], None]) -> None:
         with tempfile.TemporaryDirectory() as folder:
             temporary = Path(folder) / f"out{path.suffix}"
             write(temporary)
-            with path.open("wb") as stream:
-                stream.write(temporary.read_bytes())
+            with path.open("wb") as stream, temporary.open("rb") as written:
+                shutil.copyfileobj(written, stream)
     except OSError as error:
         raise FileError(
             f"could not be written ({error.strerror or error}).", where=str(path), remedy="Choose another output path."

@@ -135,17 +135,18 @@ def interpolated_normals(normals: Float, corners: Float, barycentric: Float) -> 
 def tangents(corners: Float, uv: Float | None, normal: Float) -> tuple[Float, Bool]:
     """Unit ∂p/∂u (n, 3) of triangles (n, 3, 3) with corner UVs (n, 3, 2), made orthogonal to normal (n, 3).
 
-    Where there are no UVs, or they span no area: the object's +X laid on the surface, or its +Y where the normal
-    lies within 30° of X. Second result: (n,) bool, True where the UVs decided.
+    Where there are no UVs, or they span no area, or are no numbers: the object's +X laid on the surface, or its +Y
+    where the normal lies within 30° of X. Second result: (n,) bool, True where the UVs decided.
     """
     known = np.zeros(len(normal), dtype=bool)
     direction = np.zeros_like(normal)
     if uv is not None:
+        uv = np.where(np.isfinite(uv).all(axis=(1, 2), keepdims=True), uv, 0.0)
         du, dv = uv[:, 1:] - uv[:, :1], corners[:, 1:] - corners[:, :1]
         determinant = du[:, 0, 0] * du[:, 1, 1] - du[:, 1, 0] * du[:, 0, 1]
         area = np.abs(determinant)
         span = np.linalg.norm(du[:, 0], axis=1) * np.linalg.norm(du[:, 1], axis=1)
-        known = (area > 1e-9 * span) & np.isfinite(area)
+        known = area > 1e-9 * span
         direction = (du[:, 1, 1, None] * dv[:, 0] - du[:, 0, 1, None] * dv[:, 1]) * np.sign(determinant)[:, None]
         direction, known_flat = _on_plane(direction, normal)
         known &= known_flat

@@ -114,11 +114,21 @@ def _arc_lengths(curve: PiecewiseBezier, segment: Int, start: Float, end: Float)
 
 
 def by_arc_length(curve: PiecewiseBezier) -> ArcCurve:
-    """Table of a curve's arc length by adaptive bisection of its segments."""
+    """Table of a curve's arc length by adaptive bisection of its segments.
+
+    Raises StrokeError for a curve that reaches farther than lengths can be computed (some 1e150 m).
+    """
     segment = np.arange(curve.segment_count, dtype=np.intp)
     start, end = np.zeros(len(segment)), np.ones(len(segment))
-    whole = _arc_lengths(curve, segment, start, end)
-    tolerance = LENGTH_TOLERANCE * max(float(whole.sum()), sys.float_info.min)
+    with np.errstate(over="ignore", invalid="ignore"):
+        whole = _arc_lengths(curve, segment, start, end)
+    if not np.isfinite(whole.sum()):
+        raise StrokeError(
+            "the curve has no finite length.", remedy="Check its points, the object's scale and the scene's unit scale."
+        )
+    # Far from the origin the points themselves are rounded: no panel is better than that.
+    rounding = 8.0 * float(np.finfo(np.float64).eps * np.abs(curve.control).max())
+    tolerance = max(LENGTH_TOLERANCE * float(whole.sum()), rounding, sys.float_info.min)
     done: list[tuple[Int, Float, Float, Float]] = []
     for depth in range(_MAX_DEPTH + 1):
         middle = (start + end) / 2.0

@@ -43,7 +43,8 @@ def eased_travel(distance: float, speed: float, ramp_s: float, start_s: float = 
     """
     ramp = min(ramp_s, distance / speed)
     if ramp < 1e-6:
-        return Keys(start_s + np.array([0.0, distance / speed]), np.array([0.0, distance]), np.array([speed, speed]))
+        lasting = distance / speed + ramp
+        return Keys(start_s + np.array([0.0, lasting]), np.array([0.0, distance]), np.array([speed, speed]))
     cruise = distance / speed - ramp
     # In half a ramp of duration r the speed goes 2v·(t/r)², which covers v·r/12; the second half mirrors it.
     half = np.array([0.0, ramp / 2, ramp])

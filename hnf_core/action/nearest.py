@@ -23,9 +23,13 @@ def nearest_on_triangles(points: Float, corners: Float) -> Closest:
     centre = corners.mean(axis=1)
     radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
     near = _around(points, corners, centre)
-    centre, radius = centre[near], radius[near]
+    # Counted from the points: squares of kilometres have no digits left for millimetres.
+    origin = points.mean(axis=0) if len(points) else np.zeros(3)
+    centre, radius = centre[near] - origin, radius[near]
     step = max(1, _CHUNK // max(1, len(near)))
-    parts = [_nearest_of(points[i : i + step], corners, near, centre, radius) for i in range(0, len(points), step)]
+    parts = [
+        _nearest_of(points[i : i + step], corners, near, centre, radius, origin) for i in range(0, len(points), step)
+    ]
     return gathered(parts)
 
 
@@ -50,9 +54,11 @@ def _around(points: Float, corners: Float, centre: Float) -> Int:
     return np.flatnonzero(inside.all(axis=1))
 
 
-def _nearest_of(points: Float, corners: Float, near: Int, centre: Float, radius: Float) -> Closest:
-    squared = (points**2).sum(axis=1)[:, None] - 2.0 * points @ centre.T + (centre**2).sum(axis=1)
-    slack = 1e-12 * (1.0 + float(np.abs(centre).max(initial=0.0)) ** 2)
+def _nearest_of(points: Float, corners: Float, near: Int, centre: Float, radius: Float, origin: Float) -> Closest:
+    local = points - origin
+    square, length = (local**2).sum(axis=1)[:, None], (centre**2).sum(axis=1)
+    squared = square - 2.0 * local @ centre.T + length
+    slack = 1e-12 * (square + length)
     distance = np.sqrt(np.maximum(squared, 0.0) + slack)
     who, which = np.nonzero(distance - radius <= distance.min(axis=1, keepdims=True) + 2.0 * np.sqrt(slack))
     triangle = near[which]

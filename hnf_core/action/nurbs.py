@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -63,8 +61,10 @@ def nurbs_curve(
     """
     points = np.asarray(points, dtype=np.float64)
     weights = np.asarray(weights, dtype=np.float64)
-    if not np.all(weights > 0.0):
-        raise StrokeError("the curve has NURBS weights that are not positive.", remedy="Set the points' W above 0.")
+    if not np.all((weights > 0.0) & (weights < np.inf)):
+        raise StrokeError(
+            "the curve has NURBS weights that are not positive numbers.", remedy="Set the points' W above 0, e.g. to 1."
+        )
     if not has_nurbs_form(len(points), order, cyclic=cyclic, bezier=bezier, endpoint=endpoint):
         return poly_curve(points, cyclic=cyclic)
     if not np.all(np.isfinite(points)):
@@ -74,20 +74,20 @@ def nurbs_curve(
     control = np.concatenate([points * weights[:, None], weights[:, None]], axis=1)
     if cyclic:
         control = np.concatenate([control, control[np.arange(degree) % len(control)]])
-    segments = [
-        [_blossom(control, knots, degree, span, [a] * (degree - i) + [b] * i) for i in range(order)]
-        for span, (a, b) in enumerate(pairwise(knots))
-        if degree <= span < len(control) and b > a
-    ]
-    return PiecewiseBezier(np.array(segments), cyclic)
+    spans = np.flatnonzero(np.diff(knots) > 0.0)
+    spans = spans[(spans >= degree) & (spans < len(control))]
+    points_of = [_blossom(control, knots, degree, spans, i) for i in range(order)]
+    return PiecewiseBezier(np.stack(points_of, axis=1), cyclic)
 
 
-def _blossom(control: Float, knots: Float, degree: int, span: int, arguments: list[float]) -> Float:
-    """The polar form of knot span [knots[span], knots[span + 1]] at degree arguments: de Boor with one each level."""
-    level = control[span - degree : span + 1]
-    for r, argument in enumerate(arguments):
-        low = knots[span - degree + 1 + r : span + 1]
-        high = knots[span + 1 : span + 1 + degree - r]
-        share = ((argument - low) / (high - low))[:, None]
-        level = level[:-1] + share * (level[1:] - level[:-1])
-    return np.asarray(level[0])
+def _blossom(control: Float, knots: Float, degree: int, spans: NDArray[np.intp], ends: int) -> Float:
+    """The polar form of each knot span [a, b], a = knots[span]: at a, but for the last `ends` of its degree arguments,
+    which are b. (S, dim + 1), de Boor with one argument each level."""
+    level = control[spans[:, None] + np.arange(-degree, 1)]
+    for r in range(degree):
+        argument = knots[spans if r < degree - ends else spans + 1]
+        low = knots[spans[:, None] + np.arange(1 + r - degree, 1)]
+        high = knots[spans[:, None] + np.arange(1, 1 + degree - r)]
+        share = ((argument[:, None] - low) / (high - low))[..., None]
+        level = level[:, :-1] + share * (level[:, 1:] - level[:, :-1])
+    return np.asarray(level[:, 0])

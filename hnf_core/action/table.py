@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+from array import array
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,8 @@ from .action import ACTION_RATE_HZ, Action
 Float = NDArray[np.float64]
 
 COLUMNS = ("time_s", "direction_rad", "speed_m_s", "force_n")
+LONGEST_S = 86_400.0
+"""Whoever asks for more has another unit in mind: ten seconds in microseconds would be four months."""
 _REMEDY = f"Give the header {','.join(COLUMNS)} and one row of four numbers per time."
 
 
@@ -24,16 +28,11 @@ def read_action_csv(path: Path, probe: str = "pen", rate: float = ACTION_RATE_HZ
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
-            rows = [row for row in csv.reader(stream) if any(cell.strip() for cell in row)]
+            header, table = _read(path, csv.reader(stream))
     except OSError as error:
         raise FileError(f"cannot read it ({error.strerror}).", where=str(path), remedy="Check the path.") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise FileError(f"not a CSV table ({error}).", where=str(path), remedy=_REMEDY) from error
-    header = [cell.strip() for cell in rows[0]] if rows else []
-    missing = [name for name in COLUMNS if name not in header]
-    if missing:
-        raise FileError(f"column {missing[0]} is missing.", where=str(path), remedy=_REMEDY)
-    table = np.array([_numbers(path, number, row, header) for number, row in enumerate(rows[1:], start=2)])
     if len(table) < 2:
         raise StrokeError("fewer than two rows.", where=str(path), remedy=_REMEDY)
     return action_from_table(
@@ -49,7 +48,8 @@ def action_from_table(
 
     Direction is interpolated as a vector (179° and −179° are neighbours); where it vanishes, the nearest row's counts.
     Position is the integral of speed over the table's own grid. Contact is where force is above zero. Raises
-    StrokeError for a grid that does not rise, values that are not finite, or negative speed or force.
+    StrokeError for a grid that does not rise, spans less than 5 ms or more than a day, values that are not finite, or
+    negative speed or force.
     """
     columns = np.stack([time, direction, speed, force]).astype(np.float64)
     if not np.isfinite(columns).all():
@@ -62,9 +62,17 @@ def action_from_table(
         raise StrokeError(
             "speed and force must not be negative.", where=where, remedy="Turn the direction by π to go backward."
         )
-    count = int(np.floor((time[-1] - time[0]) * rate + 1e-6)) + 1
+    duration = float(time[-1] - time[0])
+    if duration > LONGEST_S:
+        raise StrokeError(
+            f"it lasts {duration:.4g} s, and {LONGEST_S:g} s (a day) is the most.",
+            where=where, remedy="Give time_s in seconds, or cut the table.",
+        )  # fmt: skip
+    count = int(np.floor(duration * rate + 1e-6)) + 1
     if count < 2:
-        raise StrokeError("shorter than 5 ms.", where=where, remedy="Give a longer time span.")
+        raise StrokeError(
+            f"it lasts {duration:.3g} s, and 0.005 s is the least.", where=where, remedy="Give a longer time span."
+        )
     place = time[0] + np.arange(count) / rate
     travelled = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))])
     vector = np.stack([np.interp(place, time, np.cos(direction)), np.interp(place, time, np.sin(direction))], axis=1)
@@ -83,12 +91,25 @@ def action_from_table(
     )
 
 
+def _read(path: Path, rows: Iterator[list[str]]) -> tuple[list[str], Float]:
+    """Header and (n, columns) numbers; a row of text is held no longer than it takes to read it."""
+    filled = (row for row in rows if any(cell.strip() for cell in row))
+    header = [cell.strip() for cell in next(filled, [])]
+    missing = [name for name in COLUMNS if name not in header]
+    if missing:
+        raise FileError(f"column {missing[0]} is missing.", where=str(path), remedy=_REMEDY)
+    numbers = array("d")
+    for number, row in enumerate(filled, start=2):
+        numbers.extend(_numbers(path, number, row, header))
+    return header, np.array(numbers, dtype=np.float64).reshape(-1, len(header))
+
+
 def _travelled_at(place: Float, time: Float, speed: Float, travelled: Float) -> Float:
     """∫ speed dt with speed linear between rows: exact, also between them."""
     row = np.clip(np.searchsorted(time, place, side="right") - 1, 0, len(time) - 2)
     dt = place - time[row]
-    slope = (speed[row + 1] - speed[row]) / (time[row + 1] - time[row])
-    return np.asarray(travelled[row] + dt * (speed[row] + 0.5 * slope * dt))
+    share = dt / (time[row + 1] - time[row])
+    return np.asarray(travelled[row] + dt * (speed[row] + 0.5 * share * (speed[row + 1] - speed[row])))
 
 
 def _numbers(path: Path, number: int, row: list[str], header: list[str]) -> list[float]:

@@ -15,6 +15,8 @@ Float = NDArray[np.float64]
 RAMP_S = 0.1
 """S-ramp at both ends of a speed or duration law: a hand neither starts nor stops at once."""
 MAX_DURATION_S = 600.0
+FASTEST_M_S = 1e4
+"""What the field is asked for at most (field.stroke.LIMITS): no hand, but a scene of another unit."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,7 @@ class Motion:
 def time_grid(duration_s: float, rate: float, *, where: str = "") -> Float:
     """Even times 0, 1/rate, … that reach duration_s (the last sample lies at or after it).
 
-    Raises StrokeError for a duration that is not positive, or beyond ten minutes.
+    Raises StrokeError for a duration that is not positive, shorter than a step of the grid, or beyond ten minutes.
     """
     if not duration_s > 0.0:
         raise StrokeError(
@@ -41,6 +43,12 @@ def time_grid(duration_s: float, rate: float, *, where: str = "") -> Float:
             f"the stroke lasts {duration_s:g} s, and {MAX_DURATION_S:g} s is the most.",
             where=where,
             remedy="Move its last keyframe closer or raise its speed.",
+        )
+    if not duration_s * rate >= 1.0 - 1e-6:
+        raise StrokeError(
+            f"the stroke lasts {duration_s:.3g} s, and {1.0 / rate:g} s is the least.",
+            where=where,
+            remedy="Move its keyframes apart, or give it a longer duration or path.",
         )
     return np.arange(int(np.ceil(duration_s * rate - 1e-6)) + 1) / rate
 
@@ -69,6 +77,18 @@ def _finite(values: ArrayLike, frames: ArrayLike, name: str, where: str) -> Floa
             remedy="Delete or correct the keyframe there in the Graph Editor.",
         )
     return array
+
+
+def checked_motion(motion: Motion, *, where: str) -> Motion:
+    """motion itself; raises StrokeError where it is faster than FASTEST_M_S, before anything is rendered for it."""
+    fastest = float(np.abs(motion.velocity).max(initial=0.0))
+    if not fastest <= FASTEST_M_S:
+        raise StrokeError(
+            f"the hand moves at {fastest:.2g} m/s, and {FASTEST_M_S:g} m/s is the most.",
+            where=where,
+            remedy="Check the scene's unit scale, and move the stroke's keyframes apart or give it a longer duration.",
+        )
+    return motion
 
 
 def motion_from_progress(progress: Float, length_m: float, rate: float) -> Motion:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..archive import DAMAGED
 from ..errors import FileError
 
 Float = NDArray[np.float64]
@@ -90,7 +91,7 @@ def _read_npz(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
             if missing:
                 raise FileError(f"{', '.join(missing)} are missing.", where=str(path), remedy=_AGAIN)
             parts = {name: np.asarray(archive[name]) for name in names}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, MemoryError, SyntaxError) as error:
+    except DAMAGED as error:
         raise FileError(
             f"is no archive of plain arrays ({error}). Pickled ones are not read.", where=str(path), remedy=_AGAIN
         ) from error

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ..errors import FileError
+from ..field.resampling import FASTEST_HZ
 from ..signal import Signal
 from .formats import Format, format_of_file
 from .loss import Loss, loss_between, loss_table
@@ -55,7 +57,12 @@ class Exported:
 def export_signal(signal: Signal, form: Format, path: Path, options: ExportOptions) -> Exported:
     """Write signal to path, atomically, and what its numbers stand for to path.json; then read the file again and
     measure what is missing. Envelopes are rendered with the signal's seed, at its rate or one that holds the range.
-    Raises FileError and UsageError of the format."""
+    Raises FileError for a rate that is none, FileError and UsageError of the format."""
+    if not 0.0 < signal.sample_rate <= FASTEST_HZ:
+        raise FileError(
+            f"a signal of {signal.sample_rate:g} Hz is none, so nothing was written.", where=str(path),
+            remedy="Synthesise at e.g. 10000 Hz.",
+        )  # fmt: skip
     dropped = form.write(path, signal, options)
     told = ImportOptions(rate_hz=rendered_rate(signal, options.range_hz), seed=signal.seed)
     loss = loss_between(signal, form.read(path, told), dropped)

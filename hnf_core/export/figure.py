@@ -33,11 +33,12 @@ STYLE: dict[str, Any] = {
     "ytick.color": QUIET,
     "figure.facecolor": PAPER,
     "text.parse_math": False,
+    "svg.hashsalt": "hnf",
 }
 
 
 def write_figure(path: Path, size_px: tuple[int, int], draw: Callable[[Figure], None]) -> None:
-    """Let draw fill an empty figure of size_px and save it as PNG, atomically.
+    """Let draw fill an empty figure of size_px and save it, atomically: as SVG where path says so, else as PNG.
 
     Equal input gives equal bytes with one version of matplotlib. Raises FileError where matplotlib is missing or the
     file cannot be written.
@@ -57,5 +58,9 @@ def write_figure(path: Path, size_px: tuple[int, int], draw: Callable[[Figure], 
         FigureCanvasAgg(figure)
         draw(figure)
         buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", dpi=100, metadata={"Software": f"Haptic Neural Fields {__version__}"})
+        made_by = f"Haptic Neural Fields {__version__}"
+        if Path(path).suffix.lower() == ".svg":
+            figure.savefig(buffer, format="svg", metadata={"Creator": made_by, "Date": None})
+        else:
+            figure.savefig(buffer, format="png", dpi=100, metadata={"Software": made_by})
     write_bytes(Path(path), buffer.getvalue())

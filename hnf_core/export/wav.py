@@ -14,8 +14,8 @@ from __future__ import annotations
 import json
 import math
 import struct
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from .. import __version__
 from ..errors import FileError
-from ..files import write_bytes
+from ..files import write_atomically, write_bytes
 from ..signal import Signal
 from .samples import finite_samples
 
@@ -42,25 +42,54 @@ def write_wav(path: Path, signal: Signal) -> None:
     write_bytes(Path(path), wav_bytes(signal, where=str(path)))
 
 
+def write_wav_stream(path: Path, head: Signal, count: int, blocks: Iterable[NDArray[np.float32]]) -> None:
+    """As write_wav, of a signal of count samples that arrives in blocks: only one of them is held.
+
+    head: a signal without samples, for the rate, seed and provenance. Raises what write_wav raises (a signal too long
+    before anything is asked of blocks), FileError where blocks hold another number of samples, and what they raise; an
+    earlier file at path is then unharmed.
+    """
+    path = Path(path)
+    start = _head(head, count, str(path))
+
+    def write(temporary: Path) -> None:
+        written = 0
+        with temporary.open("wb") as stream:
+            stream.write(start)
+            for block in blocks:
+                samples = finite_samples(replace(head, samples=block), str(path))
+                stream.write(samples.tobytes())
+                written += len(samples)
+        if written != count:
+            raise FileError(f"{written} samples came of {count}, so nothing was written.", where=str(path))
+
+    write_atomically(path, write)
+
+
 def wav_bytes(signal: Signal, *, where: str = "WAV") -> bytes:
     """The file that write_wav writes. Equal signals give equal bytes."""
     samples = finite_samples(signal, where)
-    rate = signal.sample_rate
+    return _head(signal, len(samples), where) + samples.tobytes()
+
+
+def _head(signal: Signal, count: int, where: str) -> bytes:
+    """All of the file that comes before its count samples."""
+    rate, size = signal.sample_rate, 4 * count
     if not (math.isfinite(rate) and rate == int(rate) and 1 <= rate <= _LARGEST // 4):
         raise FileError(
             f"a WAV needs a whole sample rate, not {rate:g} Hz.", where=where, remedy="Synthesise at e.g. 8000 Hz."
         )
     format_chunk = struct.pack("<HHIIHHH", _IEEE_FLOAT, 1, int(rate), int(rate) * 4, 4, 32, 0)
-    head = _chunk(b"fmt ", format_chunk) + _chunk(b"fact", struct.pack("<I", len(samples)))
+    head = _chunk(b"fmt ", format_chunk) + _chunk(b"fact", struct.pack("<I", min(count, _LARGEST)))
     head += info_chunk(signal)
-    body = b"WAVE" + head + b"data" + struct.pack("<I", min(samples.nbytes, _LARGEST))
-    if len(body) + samples.nbytes > _LARGEST:
+    body = b"WAVE" + head + b"data" + struct.pack("<I", min(size, _LARGEST))
+    if len(body) + size > _LARGEST:
         raise FileError(
-            f"{signal.duration_s:.0f} s at {rate:g} Hz is more than a WAV can hold (4 GB).",
+            f"{count / rate:.0f} s at {rate:g} Hz is more than a WAV can hold (4 GB).",
             where=where,
             remedy="Split the stroke or lower the rate.",
         )
-    return b"RIFF" + struct.pack("<I", len(body) + samples.nbytes) + body + samples.tobytes()
+    return b"RIFF" + struct.pack("<I", len(body) + size) + body
 
 
 def read_wav(path: Path) -> Signal:

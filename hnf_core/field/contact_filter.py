@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,19 +41,33 @@ class FilterBank:
     force: Float
     weights: Float
 
-    def apply(self, kernels: Float, signal: Float, start: int) -> Float:
-        """Filter signal (TAIL + count + LEAD,), which begins TAIL samples before sample `start`; (count,) m/s²."""
+    def height_term(self, height: Float, start: int) -> Float:
+        """Acceleration (count,) [m/s²] of a profile height (TAIL + count + LEAD,) [m], which begins TAIL samples before
+        sample `start`."""
+        return self._apply(self.height, self._height_spectra, height, start)
+
+    def force_term(self, force: Float, start: int) -> Float:
+        """The same of a pressing force [N]."""
+        return self._apply(self.force, self._force_spectra, force, start)
+
+    @cached_property
+    def _height_spectra(self) -> NDArray[np.complex128]:
+        return np.asarray(np.fft.rfft(self.height, _GRID))
+
+    @cached_property
+    def _force_spectra(self) -> NDArray[np.complex128]:
+        return np.asarray(np.fft.rfft(self.force, _GRID))
+
+    def _apply(self, kernels: Float, spectra: NDArray[np.complex128], signal: Float, start: int) -> Float:
         count = len(signal) - LEAD - TAIL
-        size = 1 << (len(signal) + kernels.shape[1] - 1).bit_length()
+        # A circle as long as the signal is enough: what wraps round is in the samples before `start`.
+        size = 1 << (len(signal) - 1).bit_length()
         used = np.flatnonzero(np.any(self.weights[states_read(len(self.weights), start, count)] > 0.0, axis=0))
         spectrum = np.fft.rfft(signal, size)
         fades = interpolate(self.weights[:, used], start, count)
-        out = np.zeros(count)
-        for column, index in enumerate(used):
-            # y(t) = Σ_τ h(τ) x(t − τ), τ from −LEAD to TAIL − 1.
-            full = np.fft.irfft(spectrum * np.fft.rfft(kernels[index], size), size)
-            out += fades[:, column] * full[TAIL + LEAD : TAIL + LEAD + count]
-        return out
+        # y(t) = Σ_τ h(τ) x(t − τ), τ from −LEAD to TAIL − 1.
+        full = np.fft.irfft(spectrum * (spectra[used] if size == _GRID else np.fft.rfft(kernels[used], size)), size)
+        return np.asarray(np.einsum("tb,bt->t", fades, full[:, TAIL + LEAD : TAIL + LEAD + count]))
 
 
 def filter_bank(mechanics: tuple[Mechanics, ...], material: NDArray[np.int32], force: Float, probe: str) -> FilterBank:

@@ -72,9 +72,6 @@ def build_inputs(
     """
     speed = np.maximum(condition.speed, SPEED_FLOOR_M_S)
     force = np.maximum(condition.force, FORCE_FLOOR_N)
-    moving = np.clip(condition.speed / SPEED_FLOOR_M_S, 0.0, 1.0) * np.clip(condition.force / FORCE_FLOOR_N, 0.0, 1.0)
-    gate = np.repeat(np.where(condition.contact, moving, 0.0)[:, None], carriers.count, axis=1)
-    gate[:, carriers.arc_slice] *= arc_gain(carriers.arc_centres(), speed)
     columns = [
         normalised_tokens(seen_from(condition.tokens, condition.direction) if stroke_frame else condition.tokens),
         np.array([mechanics_columns(m) for m in condition.mechanics])[condition.material],
@@ -104,7 +101,15 @@ def build_inputs(
             prior[:, carriers.arc_slice] = log_amplitude(linear.noise if line_gains else linear.power)
         if line_gains:
             prior = np.concatenate([prior, prior_columns(linear.lines)], axis=1)
-    return Inputs(np.concatenate(columns, axis=1), prior, gate)
+    return Inputs(np.concatenate(columns, axis=1), prior, gate_of(condition, carriers))
+
+
+def gate_of(condition: Condition, carriers: Carriers) -> Float:
+    """(n, K) factor 0 … 1 on what is emitted, as in Inputs."""
+    moving = np.clip(condition.speed / SPEED_FLOOR_M_S, 0.0, 1.0) * np.clip(condition.force / FORCE_FLOOR_N, 0.0, 1.0)
+    gate = np.repeat(np.where(condition.contact, moving, 0.0)[:, None], carriers.count, axis=1)
+    gate[:, carriers.arc_slice] *= arc_gain(carriers.arc_centres(), np.maximum(condition.speed, SPEED_FLOOR_M_S))
+    return gate
 
 
 def encode_action(direction: Float, speed: Float, force: Float, octaves: int, directed: bool) -> Float:

@@ -130,6 +130,12 @@ class Emission:
 
 def evaluate(model: Field, condition: Condition) -> Emission:
     """F_Θ at each of n states, in float32 products (as the torch twin)."""
+    alpha, sigma_dt, gate = before_gate(model, condition)
+    return Emission(alpha * gate[:, None, :], sigma_dt)
+
+
+def before_gate(model: Field, condition: Condition) -> tuple[Float, Float, Float]:
+    """alpha (n, heads, K) as if every state slid within its band, sigma_dt (n, N), and the gate (n, K) on alpha."""
     config, weights = model.config, model.parameters
     inputs = build_inputs(
         condition,
@@ -159,7 +165,7 @@ def evaluate(model: Field, condition: Condition) -> Emission:
         alpha[:, 0, config.carriers.arc_slice] = np.sqrt(np.square(alpha[:, 0, config.carriers.arc_slice]) + ringing)
     sigma = hidden @ weights["sigma.weight"].T + weights["sigma.bias"]
     sigma_dt = np.logaddexp(0.0, sigma.astype(np.float64))
-    return Emission(alpha * inputs.gate[:, None, :], sigma_dt)
+    return alpha, sigma_dt, inputs.gate
 
 
 def accumulate(config: FieldConfig, emission: Emission) -> Float:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..blas import one_blas_thread
 from .contact_filter import LEAD, TAIL
 from .field import Field
 from .modulation import states_read
@@ -61,10 +62,11 @@ def render(
     blocks = blocks_of(prepared.count)
     if start is not None:
         blocks = changed_blocks(start.prepared, prepared)
-    for first, count in blocks:
-        if superseded():
-            raise Superseded
-        samples[first : first + count] = render_block(prepared, first, count)
+    with one_blas_thread():
+        for first, count in blocks:
+            if superseded():
+                raise Superseded
+            samples[first : first + count] = render_block(prepared, first, count)
     synthesis = described(field, stroke, prepared, samples)
     return Rendered(field.identity, stroke, prepared, samples, synthesis, sum(count for _, count in blocks))
 

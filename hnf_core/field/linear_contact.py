@@ -106,9 +106,9 @@ def linear_contact(condition: Condition, carriers: Carriers) -> LinearContact:
     wave = np.square(2.0 * np.pi * kappa)
     up, aside = response * fade, lateral * np.square(force / probe.mass_kg)[:, None] * fade
     rubbed = 1.0 + np.square(friction)[:, None]
-    normal = cut_noise(texture, passed, carriers) * up
-    slopes = cut_noise(texture, leaned * wave, carriers) + flank[:, None] * wave * cut_noise(texture, leaned, carriers)
-    noise = normal * rubbed + slopes * aside
+    height, slope, leaning = cut_noise(texture, np.stack([passed, leaned * wave, leaned]), carriers)
+    normal = height * up
+    noise = normal * rubbed + (slope + flank[:, None] * wave * leaning) * aside
     # The same for the tones, each where it sounds.
     met, low = cut_lines(texture, passed, carriers)
     leant = cut_lines(texture, leaned * wave, carriers)[0]

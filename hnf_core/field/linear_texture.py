@@ -8,6 +8,7 @@ wave itself, at κ: hence the cut takes a weight per κ.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ ANGLES = 24
 _GRID_ANGLES = (np.arange(ANGLES) + 0.5) * np.pi / ANGLES
 _LINE_CONCENTRATION = 20.0
 """Of the angular density of strictly oriented waves: about ±10°."""
+_BUMP_MEAN = np.mean(np.exp(_LINE_CONCENTRATION * (np.cos(2.0 * _GRID_ANGLES) - 1.0)))
 
 
 @dataclass(frozen=True)
@@ -78,14 +80,18 @@ def cut(texture: Texture, weight: Float, carriers: Carriers) -> Float:
 
 
 def cut_noise(texture: Texture, weight: Float, carriers: Carriers) -> Float:
-    """What noise, without the lattice's tones, gives to cut(): (n, Ka)."""
+    """What noise, without the lattice's tones, gives to cut(): weight (..., n, Ka) → (..., n, Ka)."""
     weighted = texture.noise * weight
-    out = np.zeros_like(weighted)
-    count = weighted.shape[1]
-    for angle, density in zip(_GRID_ANGLES, texture.density, strict=True):
+    out, count = np.zeros_like(weighted), weighted.shape[-1]
+    # δ and 180° − δ move a wave alike, so their densities are one.
+    density = (texture.density[: ANGLES // 2] + texture.density[: ANGLES // 2 - 1 : -1]) / ANGLES
+    runs = np.concatenate([[0], np.flatnonzero(np.diff(texture.band)) + 1, [count]])
+    for angle, moved in zip(_GRID_ANGLES[: ANGLES // 2], density, strict=True):
         shift = int(np.rint(-ARC_PER_OCTAVE * np.log2(np.abs(np.cos(angle)))))
-        if shift < count:
-            out[:, : count - shift] += (weighted * density[:, texture.band])[:, shift:] / ANGLES
+        for low, high in pairwise(runs.tolist()):
+            first = max(low, shift)
+            if first < high:
+                out[..., first - shift : high - shift] += weighted[..., first:high] * moved[:, texture.band[low], None]
     return out
 
 
@@ -132,5 +138,4 @@ def _angular_density(two: NDArray[np.complex128], four: NDArray[np.complex128], 
 
 def _bump(angle: Float) -> Float:
     """Angular density of oriented waves about 0, period 180°, mean 1 over ANGLES samples."""
-    mean = np.mean(np.exp(_LINE_CONCENTRATION * (np.cos(2.0 * _GRID_ANGLES) - 1.0)))
-    return np.asarray(np.exp(_LINE_CONCENTRATION * (np.cos(2.0 * angle) - 1.0)) / mean)
+    return np.asarray(np.exp(_LINE_CONCENTRATION * (np.cos(2.0 * angle) - 1.0)) / _BUMP_MEAN)

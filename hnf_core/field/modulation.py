@@ -24,12 +24,14 @@ def interpolate(amplitude: Float, start: int, count: int) -> Float:
     return np.asarray(amplitude[state] * (1.0 - share)[:, None] + amplitude[state + 1] * share[:, None])
 
 
-def time_term(amplitude: Float, carriers: Carriers, seed: int, start: int, count: int, delay: int = 0) -> Float:
-    """Σ_k A_k(t) c_k(t − delay) over the time carriers; amplitude (n, Kt), returns (count,)."""
+def time_term(
+    amplitude: Float, carriers: Carriers, seed: int, start: int, count: int, delay: int = 0, origin: int = 0
+) -> Float:
+    """Σ_k A_k(t) c_k(t + origin − delay) over the time carriers; amplitude (n, Kt), returns (count,)."""
     out = np.zeros(count)
     state, share = _place(len(amplitude), start, count)
     for first, last in _loud_stretches(amplitude, state):
-        wave = carriers.time_samples(seed, start + first - delay, last - first)
+        wave = carriers.time_samples(seed, origin + start + first - delay, last - first)
         stretch = slice(first, last)
         # Grouped by state, A is constant: two small products in place of one amplitude per sample and band.
         for low in range(int(state[first]), int(state[last - 1]) + 1):

@@ -17,13 +17,19 @@ def normal_block(seed: int, stream: int, block: int, count: int) -> NDArray[np.f
     counter set by the block, then Box–Muller on the raw words: numpy promises the raw words across versions, but not
     its own normal sampler, and the same seed must give the same bytes.
     """
-    bits = np.random.Philox(key=(seed & WORD) | ((stream & WORD) << 64), counter=(block & WORD) << 64)
     pairs = (count + 1) // 2
-    raw = bits.random_raw(2 * pairs)
-    uniform = ((raw >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53
-    radius = np.sqrt(-2.0 * np.log(uniform[:pairs]))
-    angle = 2.0 * np.pi * uniform[pairs:]
+    radius, angle = _polar(_uniform(seed, stream, block, 2 * pairs), pairs, slice(None))
     return np.asarray(np.concatenate([radius * np.cos(angle), radius * np.sin(angle)])[:count])
+
+
+def _uniform(seed: int, stream: int, block: int, count: int) -> NDArray[np.float64]:
+    bits = np.random.Philox(key=(seed & WORD) | ((stream & WORD) << 64), counter=(block & WORD) << 64)
+    return np.asarray(((bits.random_raw(count) >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53)
+
+
+def _polar(uniform: NDArray[np.float64], pairs: int, rows: slice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Radius and angle of the pairs in rows: their cosine and sine parts are normal (Box & Muller 1958)."""
+    return np.sqrt(-2.0 * np.log(uniform[:pairs][rows])), 2.0 * np.pi * uniform[pairs:][rows]
 
 
 def band_spectra(seed: int, stream: int, block: int, edges: NDArray[np.float64], size: int) -> NDArray[np.complex128]:
@@ -33,17 +39,27 @@ def band_spectra(seed: int, stream: int, block: int, edges: NDArray[np.float64],
     to none. Disjoint bands take their numbers from one white spectrum, so they are independent. Raises ValueError
     where a band is narrower than the period resolves.
     """
-    bins = np.arange(size // 2 + 1)
-    numbers = normal_block(seed, stream, block, 2 * len(bins))
-    white = numbers[: len(bins)] + 1j * numbers[len(bins) :]
-    starts = np.clip(np.ceil(edges).astype(int), 1, size // 2)
-    spectra = np.zeros((len(edges) - 1, len(bins)), dtype=np.complex128)
+    bins, starts = band_bins(seed, stream, block, edges, size)
+    spectra = np.zeros((len(edges) - 1, size // 2 + 1), dtype=np.complex128)
     for band, (low, high) in enumerate(pairwise(starts.tolist())):
-        if low >= high:
-            raise ValueError(f"band {band} holds no bin of a period of {size} samples")
-        # Each of n bins is complex normal of variance 2, mirrored: the period's mean power is 4 n / size².
-        spectra[band, low:high] = white[low:high] * (size / np.sqrt(4.0 * (high - low)))
+        spectra[band, low:high] = bins[low - starts[0] : high - starts[0]]
     return spectra
+
+
+def band_bins(
+    seed: int, stream: int, block: int, edges: NDArray[np.float64], size: int
+) -> tuple[NDArray[np.complex128], NDArray[np.intp]]:
+    """The bins of band_spectra that are not zero, one band after another, and the first bin of each band and of what
+    follows the last, (B + 1,). Numbers that no band holds are drawn but not made normal."""
+    starts = np.clip(np.ceil(edges).astype(np.intp), 1, size // 2)
+    widths = np.diff(starts)
+    if np.any(widths <= 0):
+        raise ValueError(f"band {int(np.argmax(widths <= 0))} holds no bin of a period of {size} samples")
+    count = size // 2 + 1
+    radius, angle = _polar(_uniform(seed, stream, block, 2 * count), count, slice(starts[0], starts[-1]))
+    # Each of n bins is complex normal of variance 2, mirrored: the period's mean power is 4 n / size².
+    level = np.repeat(size / np.sqrt(4.0 * widths), widths)
+    return radius * level * (np.cos(angle) + 1j * np.sin(angle)), starts
 
 
 def crossfade_window(size: int) -> NDArray[np.float64]:

@@ -26,6 +26,8 @@ CELLS_PER_OCTAVE = 2.0
 RARE = 1e-4
 """Cells of speed and force, and sectors, with less than this share of all states are outliers of a recording and do
 not count as trained. Of fewer than 10⁴ states (50 s) every one counts."""
+_AT_ONCE = 2**14
+"""States compared with all edges or sectors at a time: an hour has 720 000."""
 MECHANICS_NAMES = tuple(each.name for each in fields(Mechanics))
 
 
@@ -118,6 +120,11 @@ def convex_hull(points: Float) -> Float:
 
 def nearest_in_hull(hull: Float, points: Float) -> Float:
     """The point of a convex hull (k, 2) nearest to each of points (n, 2); itself where it lies inside."""
+    pieces = [_nearest_in_hull(hull, points[first : first + _AT_ONCE]) for first in range(0, len(points), _AT_ONCE)]
+    return np.concatenate(pieces) if pieces else np.zeros((0, 2))
+
+
+def _nearest_in_hull(hull: Float, points: Float) -> Float:
     start, edge = hull, np.roll(hull, -1, axis=0) - hull
     along = points[:, None, :] - start
     place = (along * edge).sum(axis=2) / np.maximum((edge * edge).sum(axis=1), 1e-300)
@@ -133,6 +140,11 @@ def nearest_in_hull(hull: Float, points: Float) -> Float:
 def angle_to_sectors(sectors: Sequence[bool], angle: Float) -> tuple[Float, NDArray[np.intp]]:
     """How far (rad, 0 inside) each angle (n,) lies from the edge of the nearest trained sector, and which that is."""
     trained = np.flatnonzero(np.asarray(sectors))
+    pieces = [_angle_to(trained, angle[first : first + _AT_ONCE]) for first in range(0, max(len(angle), 1), _AT_ONCE)]
+    return np.concatenate([apart for apart, _ in pieces]), np.concatenate([nearest for _, nearest in pieces])
+
+
+def _angle_to(trained: NDArray[np.intp], angle: Float) -> tuple[Float, NDArray[np.intp]]:
     apart = np.abs((angle[:, None] - trained * SECTOR_RAD + np.pi) % (2.0 * np.pi) - np.pi)
     return np.maximum(apart.min(axis=1) - SECTOR_RAD / 2.0, 0.0), trained[np.argmin(apart, axis=1)]
 

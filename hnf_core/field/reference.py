@@ -6,19 +6,17 @@ Fourier coefficients at the exact t or s(t). No tables, no interpolation of ampl
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 from numpy.typing import NDArray
 
-from ..action.action import ACTION_RATE_HZ, Action
+from ..action.action import Action
 from ..errors import UsageError
 from .carriers import ARC_BLOCK, MODEL_RATE_HZ, TIME_BLOCK, Carriers
 from .field import Field, evaluate
 from .rendering import render_weights
 from .stroke import StrokeInput
 from .synthesis import contact_term, prepare
-from .timeline import SAMPLES_PER_STATE, condition_of, cubic, sample_count, states_of
+from .timeline import SAMPLES_PER_STATE, action_at, condition_of, cubic, sample_count, states_of
 
 Float = NDArray[np.float64]
 
@@ -57,7 +55,7 @@ def texture_reference(
         emissions = []
         for n in range(config.states if config.accumulation == "past" else 1):
             at = sample - n * lag
-            emission = evaluate(field, condition_of(stroke, *_action_at(action, token_index, at)))
+            emission = evaluate(field, condition_of(stroke, *action_at(action, token_index, at)))
             emissions.append((np.where(at[:, None, None] < 0, 0.0, emission.alpha), emission.sigma_dt))
         if config.accumulation == "past":
             sigma = np.stack([emission[1][:, n] for n, emission in enumerate(emissions)], axis=1)
@@ -108,24 +106,3 @@ def _fourier(spectra, size: int, at: Float) -> Float:  # type: ignore[no-untyped
         total[inside] += 2.0 / size * np.real(waves @ coefficients[:, used].T) * fade[:, None]
     assert total is not None
     return np.asarray(total)
-
-
-def _action_at(
-    action: Action, token_index: NDArray[np.int32], sample: NDArray[np.intp]
-) -> tuple[Action, NDArray[np.int32]]:
-    """u at samples of the model rate, clamped to the stroke."""
-    place = np.clip(sample / SAMPLES_PER_STATE, 0, len(action.speed) - 1)
-    states = np.arange(len(action.speed))
-    nearest = np.rint(place).astype(int)
-    direction = np.stack([np.interp(place, states, action.direction[:, axis]) for axis in range(2)], axis=1)
-    length = np.linalg.norm(direction, axis=1, keepdims=True)
-    local = dataclasses.replace(
-        action,
-        rate=ACTION_RATE_HZ,
-        direction=np.where(length > 1e-9, direction / np.maximum(length, 1e-9), action.direction[nearest]),
-        speed=np.interp(place, states, action.speed),
-        force=np.interp(place, states, action.force),
-        position=cubic(action.position, place),
-        contact=action.contact[nearest],
-    )
-    return local, token_index[nearest]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
@@ -17,45 +19,110 @@ KAISER_BETA = 9.0
 """About −90 dB in the stop band (Kaiser 1974)."""
 ROLL_OFF = 0.95
 """Cut-off as a share of the lower of both Nyquist frequencies. With these three, flat to 0.9 of it."""
+SLOWEST_HZ, FASTEST_HZ = 1.0, 1e7
+"""A kernel is as long as 64 samples of the slower rate: slower still, and one outlasts any stroke."""
 
 MOST_PHASES = 200_000
 """Every whole number of Hz up to it is met exactly; the clock of any other is right to 5 millionths."""
-_ROWS = 2**16
-"""At a time, so that an hour needs no more memory than a minute: each row is a kernel long."""
+_ROWS, _NUMBERS = 2**16, 2**23
+"""At a time, so that an hour takes no more memory than a minute: a row is a kernel long, 13 475 numbers at 100 Hz."""
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """From rate_in to rate_out [Hz]: output m stands at input m · ratio, and is made of `reach` samples around it."""
+
+    rate_in: float
+    rate_out: float
+    ratio: Fraction
+    scale: float
+    reach: int
+
+    def count(self, samples: int) -> int:
+        """Outputs that this many samples make."""
+        return round(samples * self.rate_out / self.rate_in)
+
+    def at(self, output: int) -> int:
+        """The sample that output stands at, or after."""
+        return output * self.ratio.numerator // self.ratio.denominator
+
+    def outputs(self, samples: Float, origin: int, first: int, count: int) -> Float:
+        """Outputs first … first + count − 1, (count,), of samples that begin at sample `origin`; 0 beyond them."""
+        padded = np.concatenate([np.zeros(self.reach), samples, np.zeros(self.reach + 1)])
+        taps = np.arange(-self.reach, self.reach + 1)
+        windows = np.lib.stride_tricks.sliding_window_view(padded, len(taps))
+        rows = min(_ROWS, max(_NUMBERS // len(taps), 1))
+        numerator, denominator = self.ratio.numerator, self.ratio.denominator
+        out = np.zeros(count)
+        for phase in range(min(denominator, count)):
+            # Every denominator-th output shares a phase, and so a kernel.
+            m = np.arange(first + phase, first + count, denominator)
+            base = np.clip(m * numerator // denominator - origin, 0, len(windows) - 1)
+            distance = taps - ((first + phase) * numerator % denominator) / denominator
+            kernel = np.sinc(self.scale * distance) * _kaiser(distance / self.reach)
+            kernel /= kernel.sum()
+            for start in range(0, len(m), rows):
+                part = slice(start, start + rows)
+                out[m[part] - first] = windows[base[part]] @ kernel
+        return out
+
+
+def conversion(rate_in: float, rate_out: float) -> Conversion:
+    """Raises UsageError for a rate_out that is no number from 1 Hz to 10 MHz, or 200 000 times rate_in."""
+    if not SLOWEST_HZ <= rate_out <= FASTEST_HZ:
+        raise UsageError(
+            f"{rate_out} is no sample rate to write: {SLOWEST_HZ:g} Hz to {FASTEST_HZ:.0f} Hz are.",
+            remedy="Give one in Hz, for example 10000 or 48000.",
+        )
+    ratio = Fraction(rate_in / rate_out).limit_denominator(MOST_PHASES)
+    if ratio <= 0:
+        raise UsageError(f"nothing can be converted from {rate_in:g} Hz to {rate_out:g} Hz.")
+    scale = min(1.0, rate_out / rate_in) * ROLL_OFF
+    return Conversion(rate_in, rate_out, ratio, scale, int(np.ceil(HALF_WIDTH / scale)))
+
+
+def rate_warnings(rate_out: float) -> tuple[str, ...]:
+    """In words, where the new rate cannot hold the touch band."""
+    if rate_out >= 2200.0:
+        return ()
+    return (f"{rate_out:g} Hz cannot hold frequencies above {rate_out / 2:g} Hz; touch reaches to 1000 Hz.",)
 
 
 def resample(samples: Float, rate_in: float, rate_out: float) -> tuple[Float, tuple[str, ...]]:
-    """samples (n,) from rate_in to rate_out [Hz]; also warnings in words where the new rate cannot hold the touch band.
+    """samples (n,) from rate_in to rate_out [Hz]; also rate_warnings.
 
-    Below 0.9 of the lower Nyquist frequency amplitudes are kept within 0.01 dB. Raises UsageError for a rate that is
-    not positive and finite.
+    Below 0.9 of the lower Nyquist frequency amplitudes are kept within 0.01 dB. Raises what conversion() raises.
     """
-    if not (np.isfinite(rate_out) and rate_out > 0.0):
-        raise UsageError(f"{rate_out} is no sample rate.", remedy="Give one in Hz, for example 10000 or 48000.")
-    warnings: tuple[str, ...] = ()
-    if rate_out < 2200.0:
-        warnings = (f"{rate_out:g} Hz cannot hold frequencies above {rate_out / 2:g} Hz; touch reaches to 1000 Hz.",)
+    convert = conversion(rate_in, rate_out)
+    if rate_out != rate_in:
+        samples = convert.outputs(samples, 0, 0, convert.count(len(samples)))
+    return samples, rate_warnings(rate_out)
+
+
+def resample_stream(portions: Iterable[Float], total: int, rate_in: float, rate_out: float) -> Iterator[Float]:
+    """resample() of what portions, of total samples together, make: piece by piece, within rounding of the whole.
+
+    Holds one portion and the kernel's reach. Raises what conversion() raises.
+    """
+    convert = conversion(rate_in, rate_out)
     if rate_out == rate_in:
-        return samples, warnings
-    ratio = Fraction(rate_in / rate_out).limit_denominator(MOST_PHASES)
-    count = round(len(samples) * rate_out / rate_in)
-    scale = min(1.0, rate_out / rate_in) * ROLL_OFF
-    reach = int(np.ceil(HALF_WIDTH / scale))
-    taps = np.arange(-reach, reach + 1)
-    padded = np.concatenate([np.zeros(reach), samples, np.zeros(reach + 1)])
-    windows = np.lib.stride_tricks.sliding_window_view(padded, len(taps))
-    out = np.zeros(count)
-    for first in range(min(ratio.denominator, count)):
-        # Output m stands at input m · ratio; every denominator-th shares a phase, and so a kernel.
-        m = np.arange(first, count, ratio.denominator)
-        base = np.minimum(m * ratio.numerator // ratio.denominator, len(windows) - 1)
-        distance = taps - (first * ratio.numerator % ratio.denominator) / ratio.denominator
-        kernel = np.sinc(scale * distance) * _kaiser(distance / reach)
-        kernel /= kernel.sum()
-        for start in range(0, len(m), _ROWS):
-            part = slice(start, start + _ROWS)
-            out[m[part]] = windows[base[part]] @ kernel
-    return out, warnings
+        yield from portions
+        return
+    count, done, origin, arrived = convert.count(total), 0, 0, 0
+    held = np.zeros(0)
+    for portion in portions:
+        held, arrived = np.concatenate([held, portion]), arrived + len(portion)
+        ready = count
+        if arrived < total:
+            # Output m needs samples up to at(m) + reach, which lie before `arrived`.
+            ready = min(
+                max(-((convert.reach - arrived) * convert.ratio.denominator // convert.ratio.numerator), 0), count
+            )
+        if ready > done:
+            yield convert.outputs(held, origin, done, ready - done)
+            done = ready
+            behind = max(convert.at(done) - convert.reach - origin, 0)
+            held, origin = held[behind:], origin + behind
 
 
 def _kaiser(x: Float) -> Float:

@@ -32,6 +32,11 @@ LIMITS = {
 """What is refused beyond: far outside any touch, and well inside what float64 carries through the field's powers.
 A test holds that nothing within them gives NaN or infinity."""
 
+_REMEDY = (
+    "Check the scene's unit scale and the stroke's length, duration and force; from a program: give arrays of matching "
+    "length without NaN."
+)
+
 
 @dataclass(frozen=True)
 class HeightProfile:
@@ -65,7 +70,7 @@ class StrokeInput:
     def __post_init__(self) -> None:
         problem = _problem(self)
         if problem:
-            raise StrokeError(problem, where="stroke input", remedy="Give arrays of matching length without NaN.")
+            raise StrokeError(problem, where="stroke input", remedy=_REMEDY)
 
 
 @dataclass(frozen=True)

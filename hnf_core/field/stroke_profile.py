@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import StrokeError
 from ..scene.patch import Patch
 from ..tactile.height import sample_height
-from ..tactile.tactile_map import TactileMap
+from ..tactile.tactile_map import HeightMap
 from .stroke import HeightProfile
 
 Float = NDArray[np.float64]
@@ -19,6 +20,8 @@ OVERLAP_M = 1.5e-3
 would be felt as an edge that is not there."""
 SAMPLES_PER_WAVELENGTH = 4.0
 SHORTEST_STEP_M, LONGEST_STEP_M = 20e-6, 0.5e-3
+MOST_SAMPLES = 2**23
+"""168 m at the finest step, 1.3 km at that of a usual map: its bands take 200 bytes a sample."""
 
 
 def stroke_profile(
@@ -26,13 +29,14 @@ def stroke_profile(
     point: Float,
     patch_index: NDArray[np.int32],
     patches: Sequence[Patch],
-    maps: Sequence[TactileMap | None],
+    maps: Sequence[HeightMap | None],
 ) -> HeightProfile | None:
     """Height along the path, or None where no touched patch has one or the hand never moves.
 
     position: (n,) m, place along the path of each action sample (may run backward). point: (n, 3) contact points in
     the surface frame. patch_index: (n,) which patch, −1 off the surface. maps: per patch, None where nothing was
-    measured (flat there). The profile resolves what the coarsest measured map resolves.
+    measured (flat there). The profile resolves what the coarsest measured map resolves. Raises StrokeError for a path
+    that takes more than MOST_SAMPLES.
     """
     measured = [tactile.resolved_wavelength_m for tactile in maps if tactile is not None and tactile.height is not None]
     touched = np.flatnonzero(patch_index >= 0)
@@ -42,6 +46,12 @@ def stroke_profile(
     if places[-1] - places[0] < SHORTEST_STEP_M:
         return None
     step = float(np.clip(min(measured) / SAMPLES_PER_WAVELENGTH, SHORTEST_STEP_M, LONGEST_STEP_M))
+    length = float(places[-1] - places[0])
+    if length > MOST_SAMPLES * step:
+        raise StrokeError(
+            f"its path over relief is {length:.3g} m long, and {MOST_SAMPLES * step:.3g} m is the most.",
+            remedy="Check the scene's unit scale, or draw a shorter path.",
+        )
     grid = np.arange(places[0], places[-1] + step, step)
     points = np.stack([np.interp(grid, places, point[touched[first], axis]) for axis in range(3)], axis=-1)
     owner = _owner(grid, position, patch_index)

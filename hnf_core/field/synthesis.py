@@ -6,29 +6,46 @@ output rate is a resampling of the same signal, never another model.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..action.action import ACTION_RATE_HZ, Action
+from ..blas import one_blas_thread
 from ..material.contact import tip_response
 from ..material.mechanics import PROBES
 from ..signal import Signal
+from .adaptive import accumulated, sample_emission
 from .carriers import MODEL_RATE_HZ, Carriers
 from .contact_filter import LEAD, TAIL, FilterBank, filter_bank
 from .extrapolation import at_ceiling, examine
-from .field import Field, accumulate, evaluate
+from .field import Emission, Field, accumulate, evaluate
+from .hops import HOP
+from .knots import Knots
 from .linear_contact import BAND_END_HZ, FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition, upper_fade
-from .modulation import arc_term, interpolate, time_term
+from .modulation import arc_term
+from .plain import plain_texture, position, position_beyond
 from .profile import ProfileBands, share_power, split_profile
 from .resampling import resample
 from .stroke import StrokeInput, Synthesis
-from .timeline import SAMPLES_PER_STATE, condition_of, cubic, sample_count, smooth, states_in, states_of
+from .texture import REACH, texture_hop
+from .timeline import (
+    SAMPLES_PER_STATE,
+    action_at,
+    condition_of,
+    sample_count,
+    smooth,
+    states_about,
+    states_in,
+    states_of,
+)
 
 Float = NDArray[np.float64]
+Emitter = Callable[[Field, Condition], Emission]
 
-BLOCK = 4096
+BLOCK = HOP
 """Samples rendered at once: bounds memory, and how much a small change costs; the last bit depends on it."""
 STATES_AT_ONCE = 128
 """States evaluated at once, likewise."""
@@ -40,10 +57,12 @@ BEFORE_CONTACT_S, AFTER_CONTACT_S = 0.02, 0.06
 class Prepared:
     """A stroke with F_Θ already evaluated: all that a block of samples needs.
 
-    amplitude: (n, heads, K), what is left to the noise carriers. profile_amplitude: (n, Ka) factor on the profile's
-    bands. force: (n,) N as pressed. audible: (count,) 0 … 1, zero far from contact.
+    amplitude: (m, heads, K), what is left to the noise carriers, linear in time between knots. knots: (m,) samples of
+    the model rate; None for one at each of the n states. profile_amplitude: (n, Ka) factor on the profile's bands.
+    force: (n,) N as pressed. audible: (count,) 0 … 1, zero far from contact.
     loudest: the field's largest amplitude in each portion of states, m/s². unheld: profile_amplitude as it is
-    evaluated, before it is held where the hand rests.
+    evaluated, before it is held where the hand rests. missed: power that knots leave out, over that of all.
+    origin: the sample of the carriers' clock at which this begins, where it is a piece of a longer stroke.
     """
 
     carriers: Carriers
@@ -57,22 +76,37 @@ class Prepared:
     profile_amplitude: Float | None = None
     loudest: Float = field(default_factory=lambda: np.zeros(0))
     unheld: Float | None = None
+    knots: NDArray[np.int64] | None = None
+    missed: float = 0.0
+    origin: int = 0
 
     @property
     def count(self) -> int:
         return len(self.audible)
 
 
-def synthesise(field: Field, stroke: StrokeInput, *, seed: int, sample_rate: float = MODEL_RATE_HZ) -> Synthesis:
+def synthesise(
+    field: Field,
+    stroke: StrokeInput,
+    *,
+    seed: int,
+    sample_rate: float = MODEL_RATE_HZ,
+    tolerance: float | None = None,
+) -> Synthesis:
     """The vibration of a stroke in m/s². The same seed gives the same bytes.
 
-    Raises StrokeError for an action without duration, UsageError for a sample rate that is not positive. What lies
-    outside the field's training ranges is synthesised as it is, and named in warnings.
+    tolerance: see prepare(). Raises StrokeError for an action without duration, UsageError for a sample rate that is
+    not positive. What lies outside the field's training ranges is synthesised as it is, and named in warnings.
     """
-    prepared = prepare(field, stroke, seed=seed)
-    blocks = [render_block(prepared, *block) for block in blocks_of(prepared.count)]
-    samples = np.concatenate(blocks) if blocks else np.zeros(0)
-    return described(field, stroke, prepared, samples, sample_rate)
+    prepared = prepare(field, stroke, seed=seed, tolerance=tolerance)
+    samples = rendered(prepared)
+    told = described(field, stroke, prepared, samples, sample_rate)
+    if tolerance is None or prepared.missed <= tolerance**2:
+        return told
+    short = (
+        f"the tolerance is missed: {10.0 * np.log10(prepared.missed):.0f} dB is as near as this stroke was followed."
+    )
+    return replace(told, warnings=(*told.warnings, short))
 
 
 def described(
@@ -89,13 +123,25 @@ def described(
     return Synthesis(signal, confidence, (*warnings, *rate_warnings))
 
 
-def prepare(field: Field, stroke: StrokeInput, *, seed: int, earlier: Prepared | None = None) -> Prepared:
+def prepare(
+    field: Field,
+    stroke: StrokeInput,
+    *,
+    seed: int,
+    earlier: Prepared | None = None,
+    tolerance: float | None = None,
+    emission: Emitter = evaluate,
+) -> Prepared:
     """Everything at the action rate: F_Θ, its accumulation over past states, and the profile's share.
 
     earlier: of a stroke that differs from this one in force and contact alone; only portions of states in which they
-    differ are evaluated, and the result is the same.
+    differ are evaluated, and the result is the same. tolerance: F_Θ is evaluated where the action asks for it, until
+    the amplitudes of the whole stroke are within it of their power (root; see adaptive), in place of at every state;
+    it has no say where a profile shares in the power or heads lag. emission: what stands for F_Θ, a table.
     """
     action, token_index = states_of(stroke)
+    if tolerance is not None and adapts(field, stroke):
+        return _prepare_within(field, stroke, seed, action, token_index, tolerance, emission)
     condition = condition_of(stroke, action, token_index)
     carriers, count = field.config.carriers, len(action.speed)
     bands = None
@@ -111,7 +157,13 @@ def prepare(field: Field, stroke: StrokeInput, *, seed: int, earlier: Prepared |
         unheld = None if earlier.unheld is None else earlier.unheld.copy()
     for portion, start in enumerate(range(0, count, STATES_AT_ONCE)):
         rows = slice(start, min(start + STATES_AT_ONCE, count))
-        if earlier is not None and not _differ(action, earlier.action, slice(max(start - memory(field), 0), rows.stop)):
+        felt = slice(max(start - memory(field), 0), rows.stop)
+        if earlier is not None and not _differ(action, earlier.action, felt):
+            continue
+        if in_the_air(condition, felt):
+            amplitude[rows], loudest[portion] = 0.0, 0.0
+            if unheld is not None:
+                unheld[rows] = 0.0
             continue
         amplitude[rows], height, loudest[portion] = _evaluate_portion(field, condition, bands, reading[rows], rows)
         if unheld is not None and height is not None:
@@ -128,6 +180,54 @@ def prepare(field: Field, stroke: StrokeInput, *, seed: int, earlier: Prepared |
     return Prepared(
         carriers, seed, action, amplitude, filter_bank(stroke.mechanics, token_index, pressed, action.probe), pressed,
         audible, bands, profile_amplitude, loudest, unheld,
+    )  # fmt: skip
+
+
+def in_the_air(condition: Condition, states: slice) -> bool:
+    """Whether these touch nothing: then nothing is emitted, and nothing remembered."""
+    return not condition.contact[states].any()
+
+
+def adapts(field: Field, stroke: StrokeInput) -> bool:
+    """Whether a tolerance has a say: with past states, and no profile that shares in the power."""
+    shared = stroke.profile is not None and field.config.carriers.arc_count > 0
+    return field.config.accumulation == "past" and not shared
+
+
+def _prepare_within(
+    field: Field,
+    stroke: StrokeInput,
+    seed: int,
+    action: Action,
+    token_index: NDArray[np.int32],
+    tolerance: float,
+    emission: Emitter,
+) -> Prepared:
+    carriers, config, count = field.config.carriers, field.config, sample_count(action)
+    felt = np.convolve(action.contact, np.ones(memory(field) + 3))[1 : len(action.contact) + 1] > 0.0
+
+    def emit(at: NDArray[np.int64]) -> Emission:
+        """Nothing in the air, but for what remembers the contact or interpolates towards it."""
+        rows = felt[np.minimum(at // SAMPLES_PER_STATE, len(felt) - 1)]
+        alpha, sigma_dt = np.zeros((len(at), 1, carriers.count)), np.zeros((len(at), config.states))
+        if rows.any():
+            found = emission(field, condition_of(stroke, *action_at(action, token_index, at[rows])))
+            alpha[rows], sigma_dt[rows] = found.alpha, found.sigma_dt
+        return Emission(alpha, sigma_dt)
+
+    sampled = sample_emission(emit, count, tolerance)
+    knots, amplitude = accumulated(field.config, sampled, count)
+    if carriers.arc_count:
+        reading = reading_frequency(action, carriers) < BAND_END_HZ
+        state = knots // SAMPLES_PER_STATE
+        after = np.minimum(state + 1, len(reading) - 1)
+        amplitude[:, carriers.arc_slice] *= reading[state] & reading[after]
+    pressed = np.where(action.contact, action.force, 0.0)
+    bank = filter_bank(stroke.mechanics, token_index, pressed, action.probe)
+    loudest = np.atleast_1d(np.max(sampled.emission.alpha, initial=0.0))
+    return Prepared(
+        carriers, seed, action, amplitude[:, None, :], bank, pressed, _audible(action.contact, count), loudest=loudest,
+        knots=knots, missed=sampled.missed,
     )  # fmt: skip
 
 
@@ -186,6 +286,13 @@ def reading_frequency(action: Action, carriers: Carriers) -> Float:
     return np.asarray(fastest[:, None] * carriers.arc_centres())
 
 
+def rendered(prepared: Prepared) -> Float:
+    """(count,) all of it."""
+    with one_blas_thread():
+        blocks = [render_block(prepared, *block) for block in blocks_of(prepared.count)]
+    return np.concatenate(blocks) if blocks else np.zeros(0)
+
+
 def render_block(prepared: Prepared, start: int, count: int) -> Float:
     """Samples start … start + count − 1 of the model rate in m/s², (count,) float64; independent of other blocks."""
     audible = prepared.audible[start : start + count]
@@ -196,39 +303,38 @@ def render_block(prepared: Prepared, start: int, count: int) -> Float:
 
 def texture_term(prepared: Prepared, start: int, count: int) -> Float:
     """The carriers, modulated: 0 at rest and out of contact (but for the 40 ms memory)."""
-    carriers, out = prepared.carriers, np.zeros(count)
-    for delay in range(prepared.amplitude.shape[1]):
-        amplitude = prepared.amplitude[:, delay]
-        if carriers.constant:
-            out += interpolate(amplitude[:, :1], start, count)[:, 0]
-        if carriers.time_count:
-            out += time_term(amplitude[:, carriers.time_slice], carriers, prepared.seed, start, count, delay)
-        if carriers.arc_count:
-            place = position(prepared.action, start - delay, count)
-            out += arc_term(
-                amplitude[:, carriers.arc_slice], carriers,
-                lambda octave, first, length: carriers.arc_samples(prepared.seed, octave, first, length), place, start,
-            )  # fmt: skip
+    carriers, seed, action, origin = prepared.carriers, prepared.seed, prepared.action, prepared.origin
+    if prepared.amplitude.shape[1] > 1 or carriers.constant:
+        return plain_texture(prepared.amplitude, carriers, seed, action, start, count, origin)
+    at = prepared.knots
+    if at is None:
+        at = SAMPLES_PER_STATE * np.arange(len(prepared.amplitude))
+    knots, out = Knots(at + origin, prepared.amplitude[:, 0]), np.empty(count)
+    for hop in range((origin + start) // HOP, (origin + start + count - 1) // HOP + 1):
+        first = hop * HOP - origin
+        samples = texture_hop(knots, carriers, seed, position_beyond(action, first - REACH, HOP + 2 * REACH), hop)
+        low, high = max(start, first), min(start + count, first + HOP)
+        out[low - start : high - start] = samples[low - first : high - first]
     return out
 
 
 def contact_term(prepared: Prepared, start: int, count: int) -> Float:
     """Pressing: onset, release and dF/dt through the contact, also at v = 0; and the profile under the path."""
     margin_start, margin_count = start - TAIL, TAIL + count + LEAD
-    force = smooth(prepared.force, (margin_start + np.arange(margin_count)) / SAMPLES_PER_STATE)
-    out = prepared.bank.apply(prepared.bank.force, force, start)
+    # The responses pass nothing constant on, and most hands press evenly for a while.
+    around = states_about(len(prepared.force), margin_start, margin_count)
+    if np.all(prepared.force[around] == prepared.force[around.start]):
+        out = np.zeros(count)
+    else:
+        force = smooth(prepared.force, (margin_start + np.arange(margin_count)) / SAMPLES_PER_STATE)
+        out = prepared.bank.force_term(force, start)
     if prepared.bands is not None and prepared.profile_amplitude is not None:
         height = arc_term(
             prepared.profile_amplitude, prepared.carriers, prepared.bands.source,
             position(prepared.action, margin_start, margin_count), margin_start,
         )  # fmt: skip
-        out += prepared.bank.apply(prepared.bank.height, height, start)
+        out += prepared.bank.height_term(height, start)
     return out
-
-
-def position(action: Action, start: int, count: int) -> Float:
-    """s(t) [m] at samples start … of the model rate, held beyond the stroke."""
-    return cubic(action.position, (start + np.arange(count)) / SAMPLES_PER_STATE)
 
 
 def held(amplitude: Float, sliding: NDArray[np.bool_]) -> Float:

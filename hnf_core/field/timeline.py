@@ -48,6 +48,27 @@ def states_of(stroke: StrokeInput) -> tuple[Action, NDArray[np.int32]]:
     return resampled, stroke.token_index[nearest]
 
 
+def action_at(
+    action: Action, token_index: NDArray[np.int32], sample: NDArray[np.int64]
+) -> tuple[Action, NDArray[np.int32]]:
+    """u and the material at samples of the model rate, clamped to the stroke, of an action at ACTION_RATE_HZ."""
+    place = np.clip(sample / SAMPLES_PER_STATE, 0, len(action.speed) - 1)
+    states = np.arange(len(action.speed))
+    nearest = np.rint(place).astype(int)
+    direction = np.stack([np.interp(place, states, action.direction[:, axis]) for axis in range(2)], axis=1)
+    length = np.linalg.norm(direction, axis=1, keepdims=True)
+    local = replace(
+        action,
+        rate=ACTION_RATE_HZ,
+        direction=np.where(length > 1e-9, direction / np.maximum(length, 1e-9), action.direction[nearest]),
+        speed=np.interp(place, states, action.speed),
+        force=np.interp(place, states, action.force),
+        position=cubic(action.position, place),
+        contact=action.contact[nearest],
+    )
+    return local, token_index[nearest]
+
+
 def condition_of(stroke: StrokeInput, action: Action, token_index: NDArray[np.int32]) -> Condition:
     """F_Θ's condition at every state."""
     tokens = stroke.tokens.astype(np.float64)[token_index]
@@ -72,6 +93,13 @@ def states_in(condition: Condition, rows: slice) -> Condition:
 def sample_count(action: Action) -> int:
     """Samples at the model rate."""
     return (len(action.speed) - 1) * SAMPLES_PER_STATE
+
+
+def states_about(states: int, start: int, count: int) -> slice:
+    """All the states that smooth() reads at samples start … start + count − 1 of the model rate."""
+    last = states - 1
+    low, high = start // SAMPLES_PER_STATE - 1, (start + count - 1) // SAMPLES_PER_STATE + 2
+    return slice(min(max(low, 0), last), min(max(high, 0), last) + 1)
 
 
 def cubic(values: Float, place: Float) -> Float:

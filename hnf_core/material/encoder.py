@@ -119,7 +119,7 @@ def describe(tactile_map: TactileMap) -> Token:
     Bands that the map does not resolve, or of which the patch holds too few periods, are marked unknown and hold the
     smooth floor. Unseen pixels (mask) do not count. In noise, peak and offset name a chance maximum; where one
     wave holds the band, offset gives its wavelength within 0.1 % (2 % in a band of which the patch holds fewer than
-    four periods). Raises UsageError where the image and mask do not fit.
+    four periods). Raises UsageError where the image and mask do not fit, or a seen pixel is not a number.
     """
     image, mask = tactile_map.image, tactile_map.mask
     if image.ndim != 3 or image.shape[2] != 3 or mask.shape != image.shape[:2]:
@@ -136,6 +136,14 @@ def describe(tactile_map: TactileMap) -> Token:
     if not bands.any() or not window.any():
         return Token(values, known & bool(window.any()))
     sensor = sensor_by_name(tactile_map.sensor)
+    finite = np.isfinite(image).all(axis=2)
+    if not finite[mask].all():
+        raise UsageError(
+            f"{int((mask & ~finite).sum())} seen pixels of the tactile map are not numbers.",
+            remedy="Mask them, or make the map again.",
+        )
+    if not finite.all():
+        image = np.where(finite[..., None], image, sensor.background)
     gx, gy = decode_gradients(image, sensor)
     spectrum, slope = _spectra(gx, gy, window, pitch, sensor.gel_sigma_m)
     for band, features in enumerate(_band_features(spectrum, slope, window, shape, pitch)):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -58,6 +58,14 @@ class Camera:
         origins = self.unproject(centres, np.zeros(centres.shape[:2]))
         directions = self.unproject(centres, np.ones(centres.shape[:2])) - origins
         return origins, directions
+
+    def crop(self, left: int, top: int, width: int, height: int) -> Camera:
+        """The camera of a rectangle of this one's pixels: the same rays, fewer of them. Raises ValueError for a
+        rectangle that is empty or leaves the picture."""
+        if width < 1 or height < 1 or left < 0 or top < 0 or left + width > self.width or top + height > self.height:
+            raise ValueError(f"{width} x {height} at {left}, {top} is no part of {self.width} x {self.height} pixels")
+        intrinsics = self.intrinsics - np.array([[0.0, 0.0, left], [0.0, 0.0, top], [0.0, 0.0, 0.0]])
+        return replace(self, width=width, height=height, intrinsics=intrinsics)
 
 
 def orthographic(

@@ -5,7 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import SceneError
+
+Float = NDArray[np.float64]
+
+SMALLEST_M, LARGEST_M = 1e-60, 1e60
+"""Between them the fourth powers that barycentrics need are float64 numbers; far outside any scene."""
+THINNEST = 1e-9
 
 
 @dataclass(frozen=True)
@@ -27,3 +35,53 @@ class TriangleMesh:
     def corner_positions(self) -> NDArray[np.float64]:
         """(T, 3, 3)."""
         return self.vertices[self.triangles]
+
+
+def has_area(corners: Float) -> NDArray[np.bool_]:
+    """(T,) which triangles (T, 3, 3) are wider than THINNEST of their length. A thinner one lets no ray through its
+    plane, but a float32 tree may choose it before the surface that it lies on."""
+    sides = corners - np.roll(corners, 1, axis=1)
+    longest = np.einsum("tcx,tcx->tc", sides, sides).max(axis=1, initial=0.0)
+    normal = np.cross(sides[:, 1], sides[:, 2])
+    return np.asarray(np.sqrt(np.einsum("tx,tx->t", normal, normal)) > THINNEST * longest)
+
+
+@dataclass(frozen=True)
+class SingleFrame:
+    """Where a tree of float32 numbers keeps a mesh: (x − centre) · scale.
+
+    centre: (3,) m, the median of the triangles' middles, so that a piece that lies 10 km off costs the rest no digits.
+    scale: a power of two, which rounds nothing, with which the farthest corner lies about 1 away: float32 has no
+    products of nanometres or light years. radius: m, of the sphere around centre that holds every triangle.
+    """
+
+    centre: Float
+    scale: float
+    radius: float
+
+    def inside(self, points: ArrayLike) -> Float:
+        """Points (..., 3) in m, in this frame; still float64."""
+        return np.asarray((np.asarray(points, dtype=np.float64) - self.centre) * self.scale)
+
+
+def single_frame(corners: Float) -> SingleFrame:
+    """The frame of triangles (T, 3, 3) in m.
+
+    Raises SceneError where there are none, where a corner is not a number, and where they are all in one point or
+    farther apart than numbers hold.
+    """
+    if len(corners) == 0:
+        raise SceneError("the mesh has no faces to touch.", remedy="Give the object some faces, or choose another.")
+    if not np.isfinite(corners).all():
+        raise SceneError("a vertex is not a number.", remedy="Run Mesh > Clean Up, or delete that vertex.")
+    centre = np.median(corners.mean(axis=1), axis=0)
+    away = np.maximum(corners.max(axis=(0, 1)) - centre, centre - corners.min(axis=(0, 1)))
+    farthest = float(away.max())
+    if not SMALLEST_M < farthest < LARGEST_M:
+        raise SceneError(
+            f"all of the mesh lies within {farthest:.1g} m."
+            if farthest < 1.0
+            else f"the mesh reaches {farthest:.1g} m.",
+            remedy="Check the object's scale and the scene's unit scale.",
+        )
+    return SingleFrame(centre, float(np.ldexp(1.0, -int(np.frexp(farthest)[1]))), float(np.linalg.norm(away)))

@@ -31,6 +31,11 @@ class Patch:
     def y_axis(self) -> NDArray[np.float64]:
         return np.cross(self.normal, self.x_axis)
 
+    @property
+    def reach_m(self) -> float:
+        """Nothing farther from the centre is in the clip range of its camera."""
+        return float(np.hypot(CAMERA_DISTANCE_M, self.size_m * np.sqrt(0.5)))
+
     def camera(self, pixels: int) -> Camera:
         return orthographic(self.centre, self.x_axis, self.normal, self.size_m, pixels, CAMERA_DISTANCE_M)
 

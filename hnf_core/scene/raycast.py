@@ -8,9 +8,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import SceneError
 from .camera import Camera
-from .mesh import TriangleMesh
+from .mesh import TriangleMesh, has_area, single_frame
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int32]
@@ -61,35 +60,37 @@ class CastView:
 
 
 class EmbreeCaster:
-    """Embree through embreex. Embree is float32: it only chooses the triangle, in coordinates centred on the mesh;
-    distance and barycentrics come from the triangle's plane in float64."""
+    """Embree through embreex. Embree is float32: it only chooses the triangle, in the mesh's SingleFrame; distance and
+    barycentrics come from the triangle's plane in float64."""
 
     def __init__(self, mesh: TriangleMesh) -> None:
-        _require_triangles(mesh)
+        self._corners = mesh.corner_positions()
+        self._frame = single_frame(self._corners)
         from embreex.mesh_construction import TriangleMesh as EmbreeMesh
         from embreex.rtcore_scene import EmbreeScene
 
-        self._corners = mesh.corner_positions()
-        low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-        self._centre = (low + high) / 2.0
-        self._radius = float(np.linalg.norm(high - low)) / 2.0
-        vertices = np.ascontiguousarray(mesh.vertices - self._centre, dtype=np.float32)
+        self._kept = np.flatnonzero(has_area(self._corners)).astype(np.int32)
+        vertices, triangles = _used(mesh.vertices, mesh.triangles[self._kept])
         self._scene: Any = EmbreeScene()
-        self._keep = EmbreeMesh(self._scene, vertices, np.ascontiguousarray(mesh.triangles, dtype=np.int32))
+        self._keep = EmbreeMesh(
+            self._scene, np.ascontiguousarray(self._frame.inside(vertices), dtype=np.float32), triangles
+        )
 
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
         origins, directions = _rays(origins, directions)
         # A far camera's origin would be rounded to float32: start each ray where it enters the bounding sphere.
-        local = origins - self._centre
+        local = self._frame.inside(origins)
         length = np.linalg.norm(directions, axis=-1, keepdims=True)
         unit = directions / np.where(length > 0.0, length, 1.0)
         ahead = -np.sum(local * unit, axis=-1, keepdims=True)
-        skip = np.maximum(ahead - 1.01 * self._radius, 0.0)
+        skip = np.maximum(ahead - 1.01 * self._frame.radius * self._frame.scale, 0.0)
         start = np.ascontiguousarray(local + skip * unit, dtype=np.float32)
-        if len(start) == 0:
-            return _no_hits(0)
+        if len(start) == 0 or len(self._kept) == 0:
+            return _no_hits(len(start))
         found = self._scene.run(start, np.ascontiguousarray(unit, dtype=np.float32), output=True)
-        return refine_hits(self._corners, np.asarray(found["primID"], dtype=np.int32), origins, directions)
+        which = np.asarray(found["primID"], dtype=np.int32)
+        chosen = np.where(which >= 0, self._kept[which], -1).astype(np.int32)
+        return refine_hits(self._corners, chosen, origins, directions)
 
 
 def embree_caster(mesh: TriangleMesh) -> EmbreeCaster:
@@ -101,8 +102,8 @@ class ReferenceGeometry:
     """Every triangle tried for every ray or point: the plain reference for the fast casters (O(n T))."""
 
     def __init__(self, mesh: TriangleMesh) -> None:
-        _require_triangles(mesh)
         self._corners = mesh.corner_positions()
+        single_frame(self._corners)  # refuses what has no place
 
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
         origins, directions = _rays(origins, directions)
@@ -230,6 +231,10 @@ def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[Float, Float]:
     )
 
 
-def _require_triangles(mesh: TriangleMesh) -> None:
-    if len(mesh.triangles) == 0:
-        raise SceneError("the mesh has no faces to touch.", remedy="Give the object some faces, or choose another.")
+def _used(vertices: Float, triangles: Int) -> tuple[Float, Int]:
+    """Vertices that a triangle has, and the triangles among them: a stray one may lie beyond float32."""
+    used = np.zeros(len(vertices), dtype=bool)
+    used[triangles] = True
+    if used.all():
+        return vertices, np.ascontiguousarray(triangles, dtype=np.int32)
+    return vertices[used], np.ascontiguousarray((np.cumsum(used) - 1)[triangles], dtype=np.int32)

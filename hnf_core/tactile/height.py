@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import MaterialError, SceneError, UsageError
 from .optics import render_sensor_image, sensor_by_name
 from .spectral import filtered, frequencies, plane_image, plane_of
-from .tactile_map import Route, TactileMap
+from .tactile_map import HeightMap, Route, TactileMap
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -20,6 +20,10 @@ ROLL_OFF = 0.75
 the texel rate λ/2 and its images are gone, and edges do not ring as with a sharp cut."""
 MAX_NORMAL_SLOPE = 3.0
 """Normals steeper than this (72°) are taken at this slope; below it a normal map holds micro-geometry, above, noise."""
+FINEST_PIXEL_M, COARSEST_PIXEL_M = 1e-9, 1e3
+"""Atoms, and landscapes: a map of other pixels has another unit."""
+HIGHEST_M = 1e6
+"""As high as a stroke's profile may be; float64 still tells a tenth of a nanometre there."""
 
 
 def tactile_map_from_height(
@@ -36,8 +40,8 @@ def tactile_map_from_height(
     height: (H, W) metres. mask: (H, W) bool, True where the patch's own surface was seen (None: everywhere); pixels
     that are not finite count as unseen. resolved_wavelength_m: two texels of the source; never taken finer than two
     pixels. Unseen pixels are filled smoothly, the mean plane of the seen ones is removed, wavelengths below the
-    resolved one are cut, and the sensor image is rendered. Raises SceneError where nothing was seen, UsageError on
-    shapes that do not fit or an unknown sensor.
+    resolved one are cut, and the sensor image is rendered. Raises SceneError where nothing was seen or a height lies
+    beyond HIGHEST_M, UsageError on shapes or pixels that do not fit or an unknown sensor.
     """
     values = np.asarray(height, dtype=np.float64)
     if values.ndim != 2 or min(values.shape) < 8:
@@ -48,12 +52,19 @@ def tactile_map_from_height(
         if given.shape != values.shape:
             raise UsageError(f"the mask {given.shape} does not fit the height field {values.shape}.")
         seen = seen & given
-    if not metres_per_pixel > 0 or not resolved_wavelength_m > 0:
-        raise UsageError("metres per pixel and the resolved wavelength must be positive.")
+    _require_pixel(metres_per_pixel)
+    if not resolved_wavelength_m > 0:
+        raise UsageError(f"a resolved wavelength of {resolved_wavelength_m:g} m: it must be positive.")
     if not seen.any():
         raise SceneError(
             "no pixel of this patch shows the touched surface.",
             remedy="Check that the object is visible and that the stroke lies on it.",
+        )
+    highest = float(np.abs(values[seen]).max())
+    if highest > HIGHEST_M:
+        raise SceneError(
+            f"a height of this patch is {highest:.2g} m.",
+            remedy="Check the scene's unit scale, and the Distance or Scale of the material's bump or displacement.",
         )
     level = remove_plane(fill_masked(values, seen), seen)
     resolved = max(float(resolved_wavelength_m), 2.0 * metres_per_pixel)
@@ -159,8 +170,10 @@ def height_from_normals(normal: ArrayLike, mask: ArrayLike | None, metres_per_pi
 
     Integration after Frankot & Chellappa (1988) on the mirrored patch, so that opposite edges need not meet.
     Unseen pixels get smoothly filled slopes. High-passed at the patch size (the mean slope is the surface's own
-    tilt, not texture): nothing longer than the patch's side comes back. Raises SceneError where no normal holds.
+    tilt, not texture): nothing longer than the patch's side comes back. Raises SceneError where no normal holds,
+    UsageError on pixels that do not fit.
     """
+    _require_pixel(metres_per_pixel)
     gx, gy, seen = gradients_from_normals(normal, mask)
     if not seen.any():
         raise SceneError(
@@ -168,6 +181,15 @@ def height_from_normals(normal: ArrayLike, mask: ArrayLike | None, metres_per_pi
         )
     gx, gy = (fill_masked(g, seen) for g in (gx, gy))
     return integrate_gradients(gx - gx[seen].mean(), gy - gy[seen].mean(), metres_per_pixel)
+
+
+def _require_pixel(metres_per_pixel: float) -> None:
+    if not FINEST_PIXEL_M <= metres_per_pixel <= COARSEST_PIXEL_M:
+        raise UsageError(
+            f"{metres_per_pixel:g} metres per pixel: a map's pixels measure {FINEST_PIXEL_M:g} to "
+            f"{COARSEST_PIXEL_M:g} m.",
+            remedy="Give metres, not millimetres or pixels per metre.",
+        )
 
 
 def integrate_gradients(gx: ArrayLike, gy: ArrayLike, metres_per_pixel: float) -> Float:
@@ -191,7 +213,7 @@ def integrate_gradients(gx: ArrayLike, gy: ArrayLike, metres_per_pixel: float) -
     return np.asarray(height - height.mean())
 
 
-def sample_height(tactile_map: TactileMap, plane_xy: ArrayLike, outside: Literal["clamp", "mirror"] = "clamp") -> Float:
+def sample_height(tactile_map: HeightMap, plane_xy: ArrayLike, outside: Literal["clamp", "mirror"] = "clamp") -> Float:
     """Heights (n,) in metres under points (n, 2) in the patch frame (metres, centre 0, +x = column, +y = −row).
 
     Cubic convolution (Keys 1981, a = −1/2; smooth slopes: bilinear ones hum at the pixel rate). outside the map the

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,17 @@ class Route(str, Enum):
     MEASURED = "measured"
     PREDICTED = "predicted"
     PRIOR = "prior"
+
+
+class HeightMap(Protocol):
+    """What of a tactile map, or of any record of one, a path over it needs; fields as TactileMap has them."""
+
+    @property
+    def height(self) -> NDArray[np.float32] | None: ...
+    @property
+    def metres_per_pixel(self) -> float: ...
+    @property
+    def resolved_wavelength_m(self) -> float: ...
 
 
 @dataclass(frozen=True)

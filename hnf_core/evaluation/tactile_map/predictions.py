@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...blas import one_blas_thread
 from ...datasets.tactile_pairs import PAIR_SENSORS
-from ...tactile.diffusion.blas import one_blas_thread
 from ...tactile.diffusion.predict import DEFAULT_STEPS, predict_slopes
 from ...tactile.diffusion.weights import MapWeights
 from ...tactile.views import LookView

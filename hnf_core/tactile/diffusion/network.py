@@ -135,7 +135,7 @@ def _conv1(network: Network, name: str, x: Array) -> Array:
 def _conv3(network: Network, name: str, x: Array, side: int) -> Array:
     kernel = network.kernels[f"{name}.weight"]
     picture = x.reshape(-1, side, side)
-    shifted = np.zeros((3, len(picture), side + 2, side), dtype=np.float32)
+    shifted = np.zeros((3, len(picture), side + 2, side), dtype=picture.dtype)
     shifted[0, :, 1:-1, 1:] = picture[:, :, :-1]
     shifted[1, :, 1:-1] = picture
     shifted[2, :, 1:-1, :-1] = picture[:, :, 1:]

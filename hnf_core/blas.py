@@ -1,6 +1,8 @@
-"""One BLAS thread for a while: where views run in threads of our own, OpenBLAS's threads only wait for each other.
+"""One BLAS thread for a while: where views run in threads of our own, and in small products, OpenBLAS's threads only
+wait for each other.
 
-Measured on two busy cores, five views in 20 steps: 7.5 s of processor time with them, 1.9 s without.
+Measured on two cores: five views in 20 steps, 7.5 s of processor time with them, 1.9 s without; ten seconds of carriers
+0.21 s and 0.08 s.
 """
 
 from __future__ import annotations

@@ -1,0 +1,50 @@
+"""Amplitudes over time as straight lines between knots."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float32 = NDArray[np.float32]
+Samples = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Knots:
+    """at: (m,) ascending samples of the model rate, two at least. amplitude: (m, K), linear in time between knots; it
+    holds beyond them."""
+
+    at: Samples
+    amplitude: NDArray[np.floating[Any]]
+
+    def around(self, first: int, last: int) -> Knots:
+        """Those that say what happens at samples first … last, in float32."""
+        low = max(int(np.searchsorted(self.at, first, side="right")) - 1, 0)
+        high = min(int(np.searchsorted(self.at, last, side="left")) + 1, len(self.at))
+        low, high = min(low, len(self.at) - 2), max(high, 2)
+        return Knots(self.at[low:high], self.amplitude[low:high].astype(np.float32, copy=False))
+
+    def of(self, carriers: slice) -> Knots:
+        return Knots(self.at, self.amplitude[:, carriers])
+
+    def between(self, sample: Samples) -> tuple[NDArray[np.intp], Float32]:
+        """Index of the knot before each sample (n,), and how far it is on the way to the next, 0 … 1."""
+        row = np.clip(np.searchsorted(self.at, sample, side="right") - 1, 0, len(self.at) - 2)
+        span = self.at[row + 1] - self.at[row]
+        return row, np.clip((sample - self.at[row]) / span, 0.0, 1.0).astype(np.float32)
+
+    def loud(self, first: int, last: int) -> list[tuple[int, int]]:
+        """Ranges of samples within first … last − 1 in which an amplitude is not zero."""
+        loud = np.any(self.amplitude != 0.0, axis=1)
+        if loud.all():
+            return [(first, last)]
+        active = np.concatenate([[False], loud[:-1] | loud[1:], [False]])
+        edges = np.flatnonzero(np.diff(active.astype(np.int8)))
+        bounds = self.at.copy()
+        bounds[0], bounds[-1] = min(bounds[0], first), max(bounds[-1], last)
+        pairs = zip(bounds[edges[::2]].tolist(), bounds[edges[1::2]].tolist(), strict=True)
+        ranges = [(max(low, first), min(high, last)) for low, high in pairs]
+        return [each for each in ranges if each[0] < each[1]]

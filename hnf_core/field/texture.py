@@ -1,0 +1,244 @@
+"""The carriers, modulated, hop by hop: the fast twin of modulation.time_term and modulation.arc_term.
+
+Between two knots the amplitudes are linear in time, so the bands are summed once per knot, in a product of matrices,
+and what is left for a sample is two readings. What is slow is read at a half or a quarter of the rate and brought
+up at the end, octaves and low bands together. A hop is a function of the knots and places within REACH of it.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .carriers import ARC_PER_OCTAVE, MODEL_RATE_HZ, Carriers
+from .hops import (
+    ARC_CELLS,
+    ARC_HOP,
+    CELL,
+    HIGHEST,
+    HOP,
+    LEVELS,
+    MARGINS,
+    MIDDLE,
+    arc_hop,
+    level_of,
+    time_hop,
+    time_levels,
+)
+from .knots import Knots
+from .linear_contact import BAND_END_HZ
+
+Float = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+_TAPS = 6
+"""On either side of the filter that reads halfway between two samples: −90 dB up to HIGHEST."""
+REACH = max(margin << level for level, margin in enumerate(MARGINS))
+_READ_CELLS = 4
+_ROWS = 24
+"""Knots whose bands are summed at once: a sample needs two of the sums."""
+
+
+def texture_hop(knots: Knots, carriers: Carriers, seed: int, place: Float, hop: int) -> Float:
+    """Σ_k A_k(t) c_k over the carriers in time and in arc length, samples hop · HOP … + HOP − 1, (HOP,).
+
+    place: (REACH + HOP + REACH,) s [m] from REACH samples before the hop on. At most −57 dB of what is rendered
+    are wrong where amplitudes take 20 ms to change, −50 dB where they jump from state to state.
+    """
+    first = hop * HOP
+    begin = first - REACH
+    near = knots.around(begin, begin + len(place))
+    when = _When(begin, *near.between(begin + np.arange(len(place))))
+    rates = _Rates(first)
+    if carriers.time_count and np.any(near.amplitude[:, carriers.time_slice]):
+        for level, (bands, waves) in enumerate(zip(time_levels(carriers), time_hop(carriers, seed, hop), strict=True)):
+            start = first - (MARGINS[level] << level)
+            samples = when.at(start, 1 << level, waves.shape[1])
+            rates.add(level, start, _faded(near.amplitude[:, carriers.time_slice][:, bands], waves, samples))
+    for (level, start, count), octaves in _readings(near, carriers, place, rates).items():
+        at = place[start - begin :: 1 << level][:count]
+        rates.add(level, start, _in_arc(near, carriers, seed, octaves, at, when.at(start, 1 << level, count)))
+    return rates.together()
+
+
+def _readings(near: Knots, carriers: Carriers, place: Float, rates: _Rates) -> dict[tuple[int, int, int], list[int]]:
+    """Octaves that are read at the same samples: (level, first sample, how many) → octaves."""
+    begin, found = rates.first - REACH, defaultdict[tuple[int, int, int], list[int]](list)
+    for octave in range(carriers.arc_octaves):
+        lowest = carriers.arc_start_per_m * 2.0**octave
+        for stretch in near.of(_bands(carriers, octave)).loud(begin, begin + len(place)):
+            for low, high in _audible(place, begin, stretch, lowest):
+                level = level_of(2.0 * lowest * _speed(place[low - begin : high - begin]))
+                start, count = rates.kept(level, low, high)
+                if count:
+                    found[level, start, count].append(octave)
+    return found
+
+
+def _bands(carriers: Carriers, octave: int) -> slice:
+    first = carriers.arc_slice.start + octave * ARC_PER_OCTAVE
+    return slice(first, first + ARC_PER_OCTAVE)
+
+
+@dataclass(frozen=True)
+class _When:
+    """Where samples lie between knots. begin: the first of them. row: (n,) the knot before. share: (n,) of the way to
+    the next."""
+
+    begin: int
+    row: NDArray[np.intp]
+    share: Float32
+
+    def at(self, start: int, step: int, count: int) -> _When:
+        """Every step-th sample from start on."""
+        part = slice(start - self.begin, start - self.begin + step * count, step)
+        return _When(start, self.row[part], self.share[part])
+
+
+class _Rates:
+    """Sums at each rate, brought together at the end."""
+
+    def __init__(self, first: int) -> None:
+        self.first = first
+        self._sums: list[Float32 | None] = [None] * LEVELS
+
+    def kept(self, level: int, low: int, high: int) -> tuple[int, int]:
+        """The first of the samples low … high − 1 that this rate keeps, and how many they are."""
+        margin, step = MARGINS[level] << level, 1 << level
+        start = -(-max(low, self.first - margin) // step) * step
+        return start, max(-(-(min(high, self.first + HOP + margin) - start) // step), 0)
+
+    def add(self, level: int, start: int, values: Float32) -> None:
+        """values: every 2^level-th sample from `start` on."""
+        sums, margin = self._sums[level], MARGINS[level]
+        if sums is None:
+            sums = self._sums[level] = np.zeros((HOP >> level) + 2 * margin, dtype=np.float32)
+        offset = ((start - self.first) >> level) + margin
+        sums[offset : offset + len(values)] += values
+
+    def together(self) -> Float:
+        """(HOP,) everything at the model rate."""
+        slower: Float32 | None = None
+        for level in range(LEVELS - 1, 0, -1):
+            here = self._sums[level]
+            if slower is not None:
+                here = slower if here is None else here + slower
+            slower = None if here is None else _twice(here, level)
+        total = np.zeros(HOP) if self._sums[0] is None else self._sums[0].astype(np.float64)
+        return total if slower is None else total + slower
+
+
+def _twice(values: Float32, level: int) -> Float32:
+    """The next rate up, with the margin that it keeps."""
+    margin, wanted = MARGINS[level], MARGINS[level - 1]
+    out = np.empty((HOP >> (level - 1)) + 2 * wanted, dtype=np.float32)
+    begin, count = margin - wanted // 2, len(out) // 2
+    out[::2] = values[begin : begin + count]
+    out[1::2] = np.convolve(values[begin - _TAPS + 1 : begin + count + _TAPS], _half_band(), mode="valid")
+    return out
+
+
+def _faded(amplitude: Float32, waves: Float32, when: _When) -> Float32:
+    """Σ_k A_k c_k of waves (K, n); (n,)."""
+    out = np.empty(waves.shape[1], dtype=np.float32)
+    for rows, part in _parts(when.row):
+        sums = amplitude[rows] @ waves[:, part]
+        index, column = when.row[part] - rows.start, np.arange(sums.shape[1])
+        here = sums[index, column]
+        out[part] = here + when.share[part] * (sums[index + 1, column] - here)
+    return out
+
+
+def _in_arc(near: Knots, carriers: Carriers, seed: int, octaves: list[int], place: Float, when: _When) -> Float32:
+    """Σ_k A_k c_k of the octaves at samples at place (n,) [m]; (n,)."""
+    at = place / (CELL * np.array([[carriers.arc_step_m(octave)] for octave in octaves]))
+    cell = np.floor(at).astype(np.int64)
+    weights = [weight.astype(np.complex64) for weight in _reading((at - cell).astype(np.float32))]
+    out = np.empty(at.shape, dtype=np.complex64)
+    for rows, part in _parts(when.row):
+        index, sums, behind = np.empty_like(cell[:, part]), [], 0
+        nexts = np.empty((len(octaves), 1), dtype=np.int64)
+        for which, octave in enumerate(octaves):
+            own = cell[which, part]
+            origin = int(own.min()) - 1
+            waves = _cells(carriers, seed, octave, origin, int(own.max()) + 3)
+            amplitude = near.amplitude[rows, _bands(carriers, octave)]
+            sums.append((amplitude @ waves.view(np.float32)).view(np.complex64).ravel())
+            nexts[which] = waves.shape[1]
+            index[which] = (when.row[part] - rows.start) * waves.shape[1] + own + (behind - origin - 1)
+            behind += len(sums[-1])
+        flat = np.concatenate(sums)
+        here = sum(weight[:, part] * flat.take(index + tap) for tap, weight in enumerate(weights))
+        index += nexts
+        after = sum(weight[:, part] * flat.take(index + tap) for tap, weight in enumerate(weights))
+        out[:, part] = here + when.share[part] * (after - here)
+    turn = at * (MIDDLE / ARC_CELLS)
+    angle = (2.0 * np.pi * (turn - np.floor(turn))).astype(np.float32)
+    return np.asarray((out.real * np.cos(angle) - out.imag * np.sin(angle)).sum(axis=0))
+
+
+def _cells(carriers: Carriers, seed: int, octave: int, first: int, last: int) -> NDArray[np.complex64]:
+    """(24, last − first) contiguous."""
+    hops = range(first // ARC_HOP, (last - 1) // ARC_HOP + 1)
+    waves = np.empty((ARC_PER_OCTAVE, last - first), dtype=np.complex64)
+    for hop in hops:
+        low, high = max(first, hop * ARC_HOP), min(last, (hop + 1) * ARC_HOP)
+        source = arc_hop(carriers, seed, octave, hop)
+        waves[:, low - first : high - first] = source[:, low - hop * ARC_HOP : high - hop * ARC_HOP]
+    return waves
+
+
+def _parts(row: NDArray[np.intp]) -> Iterator[tuple[slice, slice]]:
+    """Knots, _ROWS or a few more, and the stretch of samples with ascending rows (n,) that lie between them."""
+    low = 0
+    while low < len(row):
+        high = int(np.searchsorted(row, row[low] + _ROWS, side="left"))
+        yield slice(int(row[low]), int(row[high - 1]) + 2), slice(low, high)
+        low = high
+
+
+def _speed(place: Float) -> float:
+    return float(np.abs(np.diff(place)).max(initial=0.0)) * MODEL_RATE_HZ
+
+
+def _audible(place: Float, begin: int, stretch: tuple[int, int], lowest: float) -> list[tuple[int, int]]:
+    """What of a stretch is not faster than an octave from wavenumber `lowest` on can sound: a jump of the hand, whose
+    amplitudes are zero, would ask for metres of cells."""
+    low, high = stretch
+    travel = np.abs(np.diff(place[low - begin : high - begin])) * (MODEL_RATE_HZ * lowest)
+    if not np.any(travel >= BAND_END_HZ):
+        return [stretch]
+    slow = np.concatenate([[False], travel < BAND_END_HZ, [False]])
+    edges = np.flatnonzero(np.diff(slow.astype(np.int8)))
+    return [(low + int(a), low + int(b) + 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+@lru_cache(maxsize=1)
+def _half_band() -> Float32:
+    """(2 · _TAPS,) of the filter that reads halfway between two samples, by least squares up to HIGHEST."""
+    frequency = np.linspace(0.0, HIGHEST, 200)
+    waves = 2.0 * np.cos(2.0 * np.pi * frequency[:, None] * (np.arange(_TAPS) + 0.5))
+    half = np.linalg.lstsq(waves, np.ones(len(frequency)), rcond=None)[0]
+    return np.asarray(np.concatenate([half[::-1], half]).astype(np.float32))
+
+
+def _reading(t: Float32) -> list[Float32]:
+    """Weights of cells −1, 0, 1, 2 at t in 0 … 1."""
+    return [((d * t + c) * t + b) * t + a for a, b, c, d in _cubic()]
+
+
+@lru_cache(maxsize=1)
+def _cubic() -> tuple[tuple[np.float32, ...], ...]:
+    """Per cell, the powers of t: least squares over the eighth of a turn per cell that half an octave spans."""
+    t, frequency = np.linspace(0.0, 1.0, 41), np.linspace(-0.125, 0.125, 81)
+    waves = np.exp(2j * np.pi * frequency[:, None] * (np.arange(_READ_CELLS) - 1))
+    basis = np.einsum("tp,fn->tfnp", t[:, None] ** np.arange(4), waves).reshape(-1, 4 * _READ_CELLS)
+    wanted = np.exp(2j * np.pi * np.multiply.outer(t, frequency)).ravel()
+    both = np.concatenate([basis.real, basis.imag]), np.concatenate([wanted.real, wanted.imag])
+    taps = np.linalg.lstsq(*both, rcond=None)[0].astype(np.float32)
+    return tuple(tuple(row) for row in taps.reshape(_READ_CELLS, 4))
