@@ -1,0 +1,209 @@
+"""`hnf batch`: many `hnf` commands on many workers, each in a process and a folder of its own."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import json
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..errors import HnfError, UsageError
+from .progress import Progress, ProgressBar
+
+if TYPE_CHECKING:
+    from ..batch.job import Job
+    from ..batch.order import Outcome
+    from ..batch.run import Summary
+
+DIRECT = ("touch", "synth", "train")
+VARIED = {
+    "touch": (),
+    "synth": ("--material", "--weights", "--stroke", "--action", "--seed"),
+    "train": ("--material", "--seed"),
+}
+"""Options that make a job for each of their values; of `hnf touch` its scenes do."""
+RETRIES = 2
+NOT_NAMED = ("out", "verb", "what", "run")
+"""What a parsed command holds that is none of its inputs."""
+
+
+def add_parser(verbs: Any) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = verbs.add_parser(
+        "batch",
+        help="run many of these commands on many workers; what is finished is not run again",
+        usage="hnf batch JOBS.toml|JOBS.json --out DIR [options]\n"
+        "       hnf batch touch SCENE… --out DIR [options, and those of hnf touch]\n"
+        "       hnf batch synth --material NAME… --stroke WORDS… --out DIR [options, and those of hnf synth]\n"
+        "       hnf batch train field --material NAME… --out DIR [options, and those of hnf train]",
+        description="Each job runs in a process of its own and writes a folder of its own in DIR. What --material, "
+        "--weights, --stroke, --action and --seed name several times makes a job for each combination. The same "
+        "command again goes on where it was. Needs the extra [batch].",
+    )
+    parser.add_argument("what", metavar="JOBS|VERB", help="a file of jobs (docs/batch.md), or touch, synth, train")
+    _add_options(parser)
+    parser.add_argument("words", nargs=argparse.REMAINDER, metavar="…", help="of the command, and the options above")
+    return parser
+
+
+def _add_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (needed)")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes on this machine (default: its cores)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="use the workers of this one instead: tcp://HOST:8786")
+    parser.add_argument(
+        "--retries", type=int, default=RETRIES, metavar="N",
+        help=f"how often a job is tried again after an accident (default {RETRIES}); its own errors are final",
+    )  # fmt: skip
+    parser.add_argument("--json", action="store_true", help="print one JSON object at the end")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Raises HnfError; returns the exit code."""
+    try:
+        from ..batch.cluster import check_address, cores
+        from ..batch.run import Options, run_batch
+    except ImportError as error:
+        raise HnfError(
+            f"batch is no part of the extension, and needs Linux or macOS ({error}).",
+            remedy="Run it from the source: pip install -e '.[batch]', then hnf batch.",
+        ) from error
+    jobs, base = _jobs(arguments)
+    if arguments.out is None:
+        raise UsageError("a batch writes into a folder.", remedy="Say where: --out DIR.")
+    if arguments.retries < 0 or (arguments.workers is not None and arguments.workers < 1):
+        raise UsageError("--workers must be at least 1, --retries 0.")
+    if arguments.scheduler is not None:
+        if arguments.workers is not None:
+            raise UsageError("--workers are those of this machine, --scheduler names others.", remedy="Give one.")
+        check_address(arguments.scheduler)
+    options = Options(arguments.scheduler, arguments.workers or cores(), arguments.retries)
+    folder = Path(os.path.abspath(arguments.out))
+    named = {job.name: _inputs(job, base, folder / job.name) for job in jobs}
+    bar = ProgressBar()
+
+    def watch(outcome: Outcome, again: bool, summary: Summary) -> None:
+        bar.close()
+        _tell(outcome, again, folder, arguments.json)
+        done = summary.skipped + summary.finished + len(summary.failed)
+        bar.show(Progress(f"after {outcome.name}", done, summary.jobs))
+
+    bar.show(Progress("starting", 0, len(jobs)))
+    try:
+        summary = run_batch(jobs, named, base, folder, options, watch)
+    finally:
+        bar.close()
+    return _sum_up(summary, folder, arguments.json)
+
+
+def _jobs(arguments: argparse.Namespace) -> tuple[tuple[Job, ...], Path]:
+    """The jobs, and the folder that their paths count from; the batch's own options among the words are taken out."""
+    from ..batch.expand import combined_jobs, scene_jobs
+    from ..batch.jobs_file import SUFFIXES, read_jobs
+
+    what = arguments.what
+    own = argparse.ArgumentParser(
+        prog=f"hnf batch {what}", allow_abbrev=False, epilog="Other options are those of the command itself."
+    )
+    _add_options(own)
+    for option in VARIED.get(what, ()):
+        own.add_argument(option, action="append", default=[], dest=option, metavar="VALUE", help="again for more jobs")
+    _, rest = own.parse_known_args(arguments.words, arguments)
+    varied = {option: getattr(arguments, option) for option in VARIED.get(what, ())}
+    if what == "touch":
+        first = next((place for place, word in enumerate(rest) if word.startswith("-")), len(rest))
+        return scene_jobs(rest[:first], rest[first:]), Path.cwd()
+    if what == "synth":
+        return combined_jobs(["synth"], varied, rest, ".wav"), Path.cwd()
+    if what == "train":
+        if not rest or rest[0].startswith("-"):
+            raise UsageError("what is to be trained?", remedy="Example: hnf batch train field --data simulated …")
+        suffix = "" if rest[0] == "alignment" else ".safetensors"
+        return combined_jobs(["train", rest[0]], varied, rest[1:], suffix), Path.cwd()
+    if Path(what).suffix.lower() not in SUFFIXES:
+        raise UsageError(
+            f"{what!r} is neither a file of jobs ({', '.join(SUFFIXES)}) nor one of {', '.join(DIRECT)}.",
+            remedy="See: hnf batch --help",
+        )
+    if rest:
+        raise UsageError(f"a file of jobs takes no other words: {' '.join(rest)}", remedy="See: hnf batch --help")
+    path = Path(os.path.abspath(what))
+    return read_jobs(path), path.parent
+
+
+def _inputs(job: Job, base: Path, own: Path) -> tuple[str, ...]:
+    """The files and folders that a job names, absolute. Raises UsageError where hnf does not take its command, or an
+    input that was declared is not there."""
+    from ..batch.inputs import named_files
+
+    parsed = _parsed(job)
+    for path in job.inputs:
+        if not named_files([path], base):
+            raise UsageError(f"its input {path} is not there.", where=f"job {job.name}", remedy="Check the path.")
+    values = [value for name, value in vars(parsed).items() if name not in NOT_NAMED]
+    return named_files([values, *job.inputs], base, own)
+
+
+def _parsed(job: Job) -> argparse.Namespace:
+    from .main import build_parser
+
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
+            return build_parser(lambda _arguments: 0, only=job.words[0]).parse_args(list(job.command))
+    except SystemExit as refused:
+        last = (said.getvalue().strip().splitlines() or ["it asks for nothing"])[-1]
+        raise UsageError(
+            f"hnf does not take its command: {last if refused.code else 'it asks for help'}",
+            where=f"job {job.name}",
+            remedy=f"Try it alone: hnf {' '.join(job.command)}",
+        ) from refused
+
+
+def _tell(outcome: Outcome, again: bool, folder: Path, as_json: bool) -> None:
+    """One line an attempt: a result to stdout, the reason of another attempt to stderr."""
+    from ..batch.order import State
+
+    reasons: Sequence[str] = (*outcome.earlier, outcome.why) if again else outcome.earlier
+    if again or (reasons and outcome.state is State.DONE):
+        ending = "it is tried again" if again else "another has done it"
+        print(f"hnf: {outcome.name}: {reasons[-1]}; {ending}.", file=sys.stderr, flush=True)
+    if outcome.state is State.DONE and not as_json:
+        print(f"{outcome.name}: {outcome.seconds:.1f} s → {folder / outcome.name}", flush=True)
+
+
+def _sum_up(summary: Summary, folder: Path, as_json: bool) -> int:
+    """The end: counts to stdout, what to do to stderr. Returns the exit code."""
+    from ..batch.order import State
+
+    for outcome in summary.failed:
+        record = folder / f"{outcome.name}.failed" / "batch.json"
+        more = f" All of it: {record}" if record.is_file() else ""
+        print(f"hnf: {outcome.name} failed: {outcome.why.rstrip('.')}.{more}", file=sys.stderr)
+    if summary.failed:
+        accidents = any(outcome.state is State.ACCIDENT for outcome in summary.failed)
+        hint = " Where processes died, look at the machine's memory, or give fewer --workers." if accidents else ""
+        print(
+            f"hnf: correct what is named and give the same command again: only what failed is run.{hint}",
+            file=sys.stderr,
+        )
+    counts = {
+        "jobs": summary.jobs,
+        "finished": summary.finished,
+        "skipped": summary.skipped,
+        "failed": len(summary.failed),
+        "retried": summary.retried,
+        "seconds": round(summary.seconds, 3),
+        "workers": summary.workers,
+    }
+    if as_json:
+        print(json.dumps(counts))
+    else:
+        print(
+            f"{summary.jobs} jobs: {summary.finished} done, {summary.skipped} already there, {len(summary.failed)} "
+            f"failed, {summary.retried} tried again; {summary.seconds:.1f} s on {summary.workers} workers → {folder}"
+        )
+    return 1 if summary.failed else 0
