@@ -47,18 +47,26 @@ def plate_with_strokes(cuts: int) -> Any:
     """A plate of cuts × cuts faces with strokes on it, one more of them to be edited."""
     import bpy
 
-    mesh = bpy.data.meshes.new("Plate")
+    plate = plate_of("Plate", cuts)
+    for name in (*stroke_names(), "Beside"):
+        stroke_on(plate, name, turned=0.4 * len(name))
+    bpy.context.view_layer.update()
+    return plate
+
+
+def plate_of(name: str, cuts: int) -> Any:
+    """A plate of cuts × cuts faces in the scene."""
+    import bpy
+
+    mesh = bpy.data.meshes.new(name)
     side = np.linspace(-SIZE_M / 2.0, SIZE_M / 2.0, cuts + 1)
     x, y = np.meshgrid(side, side)
     corner = (np.arange(cuts)[:, None] * (cuts + 1) + np.arange(cuts)).reshape(-1, 1)
     mesh.from_pydata(
         np.stack([x, y, 0.0 * x], axis=-1).reshape(-1, 3), [], corner + np.array([0, 1, cuts + 2, cuts + 1])
     )
-    plate = bpy.data.objects.new("Plate", mesh)
+    plate = bpy.data.objects.new(name, mesh)
     bpy.context.scene.collection.objects.link(plate)
-    for name in (*stroke_names(), "Beside"):
-        _stroke(name, plate, turned=0.4 * len(name))
-    bpy.context.view_layer.update()
     return plate
 
 
@@ -66,7 +74,7 @@ def stroke_names() -> tuple[str, ...]:
     return tuple(f"Stroke {'i' * (k + 1)}" for k in range(STROKES))
 
 
-def _stroke(name: str, plate: Any, turned: float) -> None:
+def stroke_on(plate: Any, name: str, turned: float) -> Any:
     """60 mm through the middle of the plate at 100 mm/s."""
     import bpy
 
@@ -80,3 +88,4 @@ def _stroke(name: str, plate: Any, turned: float) -> None:
     bpy.context.scene.collection.objects.link(obj)
     group = obj.hnf_stroke
     group.is_stroke, group.surface, group.start, group.force = True, plate, 1.0, 1.0
+    return obj

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import tracemalloc
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, TypeVar
 
@@ -69,6 +69,15 @@ class Times:
 
 
 @dataclass(frozen=True)
+class Size:
+    """Where a row lies on a curve. of: what is counted, as "objects". line: which of its lines. count: how many."""
+
+    of: str
+    line: str
+    count: float
+
+
+@dataclass(frozen=True)
 class Row:
     """One method of one bench.
 
@@ -76,6 +85,9 @@ class Row:
     ratio: to the row named ratio_to, measured in pairs, which leaves the machine's own pace out.
     error: against the reference, in error_unit, the largest that was met. peak_mb: allocated beyond what was there. A
     faster method has an error, if only 0; what None says is that the thing has no result to be wrong.
+    realtime_factor: seconds of signal made in one second, where a signal is what is made. size: of what was measured,
+    where that is the question. work: what was done, counted: name → how often. exponent: p of cost ∝ sizeᵖ, over the
+    rows of its bench with the same size.of and size.line.
     """
 
     bench: str
@@ -88,14 +100,20 @@ class Row:
     error_unit: str = ""
     peak_mb: float | None = None
     note: str = ""
+    realtime_factor: float | None = None
+    size: Size | None = None
+    work: Mapping[str, int] | None = None
+    exponent: Spread | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """seconds, cpu and ratio: medians; seconds_spread and so on: all of it."""
+        """seconds, cpu, ratio, exponent: medians; seconds_spread and so on: all of it; error_db: an error in dB."""
         record = asdict(self)
-        for name in ("seconds", "cpu", "ratio"):
+        for name in ("seconds", "cpu", "ratio", "exponent"):
             spread = record[name]
             record[f"{name}_spread"] = spread
             record[name] = None if spread is None else spread["median"]
+        if self.error_unit == "dB":
+            record["error_db"] = self.error
         return record
 
 

@@ -8,11 +8,18 @@ from .frame import Row, Spread
 
 TIMES = ("median", "99 %", "longest", "CPU", "longest CPU", "times")
 HEADER = ("bench", "method", *TIMES, "ratio of CPU", "error", "peak MB", "")
+OPTIONAL_AT = HEADER.index("ratio of CPU")
 
 
 def markdown(rows: Sequence[Row], machine: Mapping[str, str]) -> str:
-    """One table, and one line that says on what."""
-    lines = [HEADER, ("---",) * len(HEADER), *(_cells(row) for row in rows)]
+    """One table, and one line that says on what. OPTIONAL columns only where a row fills them."""
+    lines = [HEADER, *(_cells(row) for row in rows)]
+    for name, cell in reversed(OPTIONAL):
+        column = [cell(row) for row in rows]
+        if any(column):
+            added = zip(lines, (name, *column), strict=True)
+            lines = [(*line[:OPTIONAL_AT], each, *line[OPTIONAL_AT:]) for line, each in added]
+    lines.insert(1, ("---",) * len(lines[0]))
     table = "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
     return f"{table}\n\n{', '.join(f'{name} {value}' for name, value in machine.items())}"
 
@@ -28,12 +35,32 @@ def _cells(row: Row) -> tuple[str, ...]:
     return (row.bench, row.method, *wall, *cpu, times, ratio, error, peak, row.note)
 
 
+def _pace(row: Row) -> str:
+    return "" if row.realtime_factor is None else f"{row.realtime_factor:.3g}"
+
+
+def _work(row: Row) -> str:
+    return "" if row.work is None else ", ".join(f"{count:,} {name}" for name, count in row.work.items())
+
+
+def _exponent(row: Row) -> str:
+    return "" if row.exponent is None else f"{row.exponent.median:.2f} ({_range(row.exponent)})"
+
+
+OPTIONAL = (("× real time", _pace), ("work", _work), ("exponent", _exponent))
+"""Columns that are there only where a row fills them."""
+
+
 def _durations(spread: Spread) -> tuple[str, str, str]:
     return duration(spread.median), duration(spread.p99), duration(spread.highest)
 
 
 def _range(spread: Spread) -> str:
-    return f"{spread.lowest:.3g}–{spread.highest:.3g}"
+    return (
+        f"{spread.lowest:.3g}–{spread.highest:.3g}"
+        if spread.lowest >= 0.0
+        else f"{spread.lowest:.3g} … {spread.highest:.3g}"
+    )
 
 
 def duration(seconds: float) -> str:

@@ -30,6 +30,7 @@ from ..errors import UsageError
 from ..export.wav import read_wav, write_wav
 from ..field.carriers import MODEL_RATE_HZ
 from ..signal import Signal
+from .verbs import HELP
 
 LOW_HZ, HIGH_HZ, SECONDS = 10.0, 1000.0, 8.0
 LEVEL = 0.2
@@ -40,7 +41,7 @@ RATE_HZ = MODEL_RATE_HZ
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(
         "actuators",
-        help="list devices and profiles; measure an actuator",
+        help=HELP["actuators"],
         description="Without an action: list what is plugged in and the profiles there are.",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")

@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import HnfError, UsageError
 from .progress import Progress, ProgressBar
+from .verbs import HELP
 
 if TYPE_CHECKING:
     from ..bench.frame import Bench
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(
         "bench",
-        help="measure time, memory and error, as a table",
+        help=HELP["bench"],
         description="Measure, and print a table in Markdown: medians and spread of repeated runs, ratios of runs in "
         "pairs, the error beside each faster way, and the machine. A busy machine gives other times and the same "
         "ratios.",
@@ -26,6 +28,9 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser.add_argument("--repeats", type=int, default=5, metavar="N", help="of each measurement (default 5)")
     parser.add_argument("--quick", action="store_true", help="tiny sizes: proves that it runs, and nothing else")
     parser.add_argument("--json", action="store_true", help="print a list of objects instead")
+    parser.add_argument(
+        "--plot", type=Path, metavar="FILE", help="also draw time over error, or over size, as FILE.png or FILE.svg"
+    )
     return parser
 
 
@@ -50,6 +55,10 @@ def run_benches(arguments: argparse.Namespace, benches: Sequence[Bench]) -> int:
         raise UsageError(f"there is no bench '{arguments.name}'.", remedy=f"There are:\n{listed}")
     if arguments.repeats < 1:
         raise UsageError("--repeats must be at least 1.")
+    if arguments.plot is not None:
+        from ..bench.plot import check_suffix
+
+        check_suffix(arguments.plot)
     before, bar, rows = machine(), ProgressBar(), []
     try:
         for place, bench in enumerate(chosen):
@@ -66,6 +75,10 @@ def run_benches(arguments: argparse.Namespace, benches: Sequence[Bench]) -> int:
         print(json.dumps([row.to_json() | {"machine": facts} for row in rows], indent=1, ensure_ascii=False))
     else:
         print(markdown(rows, facts))
+    if arguments.plot is not None:
+        from ..bench.plot import write_plot
+
+        write_plot(arguments.plot, rows)
     return 0
 
 

@@ -14,6 +14,7 @@ from .eval_alignment import add_parser as _add_alignment
 from .eval_tactile_map import add_parser as _add_tactile_map
 from .progress import Progress, ProgressBar
 from .train_needs import torch_for
+from .verbs import HELP
 
 SUBJECTS: tuple[Callable[[Any], object], ...] = (_add_alignment, _add_tactile_map)
 """What else can be measured: each adds a parser that names its own runner as the default of `run`."""
@@ -22,7 +23,7 @@ SUBJECTS: tuple[Callable[[Any], object], ...] = (_add_alignment, _add_tactile_ma
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(
         "eval",
-        help="measure fields and rivals by every metric, with the limits beside them",
+        help=HELP["eval"],
         description="Train every method on simulated materials (and on your copy of HaTT), render strokes that none of "
         "them learned from, and write eval.md, eval.json and pictures. Takes minutes for each material; --quick "
         "proves that it runs and nothing else. Needs the extra [train].",

@@ -18,6 +18,7 @@ from ..export.formats import FORMATS, format_of
 from ..export.options import FULL_SCALE_M_S2, RANGE_HZ, ExportOptions
 from ..export.surface import TouchedSurface
 from ..export.wav_copies import read_own_wav
+from .verbs import HELP
 
 SceneReader = Callable[[Path, Mapping[str, str], str | None], TouchedSurface]
 
@@ -26,7 +27,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     listed = "\n".join(f"  {each.word:<8} {each.what}" for each in FORMATS.values())
     parser: argparse.ArgumentParser = verbs.add_parser(
         "export",
-        help="write a WAV in another format, and say what was lost",
+        help=HELP["export"],
         description="Write a signal in another format, with a .json beside it that says what its numbers stand for, "
         "read it back, and print what was lost.",
         epilog=f"formats:\n{listed}",

@@ -14,12 +14,13 @@ from ..export.formats import SUFFIXES, format_of
 from ..export.options import RENDER_RATE_HZ, ImportOptions
 from ..export.wav import write_wav
 from .export import add_scale, check_out, scale_of
+from .verbs import HELP
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(
         "import",
-        help="turn a haptic file of another program into a WAV in m/s²",
+        help=HELP["import"],
         description=f"Read {', '.join(SUFFIXES)} and write a float32 WAV in m/s². Formats that keep strength and "
         "frequency over time are rendered on a sine. What the file states of its scale counts more than the options.",
     )

@@ -13,41 +13,44 @@ from collections.abc import Callable, Sequence
 
 from .. import __version__
 from ..errors import HnfError, UsageError
-from . import actuators, bench, export, import_file, materials, stream, synth, touch, train
-from . import eval as evaluate
+from .verbs import HELP, MODULES, module_of
 
 Runner = Callable[[argparse.Namespace], int]
 
 
 def build_parser(
-    run_touch: Runner, run_bench: Runner = bench.run, run_export: Runner = export.run
+    run_touch: Runner, run_bench: Runner | None = None, run_export: Runner | None = None, only: str | None = None
 ) -> argparse.ArgumentParser:
-    """The whole command line. The runners given do the Blender part, which this package may not know."""
+    """The command line. The runners given do the Blender part, which this package may not know. only: the one verb to
+    know with its options, of the others no more than what they are for; None = all."""
     parser = argparse.ArgumentParser(
         prog="hnf", description="Haptic Neural Fields: strokes on 3-D scenes become vibrotactile acceleration."
     )
     parser.add_argument("--version", action="version", version=f"hnf {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    touch.add_parser(verbs).set_defaults(run=run_touch)
-    synth.add_parser(verbs).set_defaults(run=synth.run)
-    train.add_parser(verbs).set_defaults(run=train.run)
-    evaluate.add_parser(verbs).set_defaults(run=evaluate.run)
-    materials.add_parser(verbs).set_defaults(run=materials.run)
-    export.add_parser(verbs).set_defaults(run=run_export)
-    import_file.add_parser(verbs).set_defaults(run=import_file.run)
-    actuators.add_parser(verbs)
-    stream.add_parser(verbs).set_defaults(run=stream.run)
-    bench.add_parser(verbs).set_defaults(run=run_bench)
+    given = {"touch": run_touch, "bench": run_bench, "export": run_export}
+    for verb in MODULES:
+        if only not in (None, verb):
+            verbs.add_parser(verb, help=HELP[verb])
+            continue
+        module = module_of(verb)
+        added = module.add_parser(verbs)
+        run = given.get(verb) or getattr(module, "run", None)
+        if run is not None:
+            added.set_defaults(run=run)
     return parser
 
 
-def main(argv: Sequence[str], run_touch: Runner, run_bench: Runner = bench.run, run_export: Runner = export.run) -> int:
+def main(
+    argv: Sequence[str], run_touch: Runner, run_bench: Runner | None = None, run_export: Runner | None = None
+) -> int:
     """Parse argv (without the program's name), run the verb, and turn every outcome into an exit code."""
     for out in (sys.stdout, sys.stderr):
         if isinstance(out, io.TextIOWrapper):  # not every terminal or file knows "²"
             out.reconfigure(errors="backslashreplace")
     try:
-        arguments = build_parser(run_touch, run_bench, run_export).parse_args(list(argv))
+        verb = next((word for word in argv if not word.startswith("-")), "")
+        arguments = build_parser(run_touch, run_bench, run_export, verb).parse_args(list(argv))
         code = int(arguments.run(arguments))
         print(end="", flush=True)
         return code

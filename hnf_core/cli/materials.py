@@ -13,6 +13,7 @@ from ..material.library import find, load_library
 from ..material.material import Appearance
 from ..material.prior import NOTHING_TELLS, Suggestion, rank
 from ..material.words import is_picture_name
+from .verbs import HELP
 
 LICENCE = "GPL-3.0-or-later"
 """Of the library, and so of what is exported from it."""
@@ -22,7 +23,7 @@ SHOWN = 8
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(
-        "materials", help="list the library's materials", description="List the materials that --material takes."
+        "materials", help=HELP["materials"], description="List the materials that --material takes."
     )
     parser.add_argument("--json", action="store_true", help="print a list of objects")
     parser.add_argument(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 from dataclasses import dataclass
 
@@ -25,13 +24,15 @@ class ProbePlace:
 
 def probe_place(text: str) -> ProbePlace:
     """ "Cup:0.5,0.25" → a place. Object names may hold colons: the last one counts. Raises ArgumentTypeError."""
+    from argparse import ArgumentTypeError  # here: switching the add-on on knows places, and no command line
+
     target, colon, numbers = text.rpartition(":")
     try:
         at = tuple(float(number) for number in numbers.split(","))
     except ValueError:
         at = ()
     if not colon or not target or len(at) not in (2, 3) or not all(math.isfinite(value) for value in at):
-        raise argparse.ArgumentTypeError(
+        raise ArgumentTypeError(
             f"{text!r} is not {SHAPE} (or OBJECT:x,y,z in the object's own coordinates). Example: --probe Cup:0.5,0.25"
         )
     return ProbePlace(target, at)

@@ -29,6 +29,7 @@ from ..actuators.stream import Stream
 from ..actuators.targets import FORMS, FileTarget, Target, parse_target, sink_of
 from ..errors import DeviceError, UsageError
 from .level_meter import LevelMeter
+from .verbs import HELP
 
 AHEAD_BLOCKS = 3
 LOOK_S = 0.05
@@ -37,7 +38,7 @@ LOOK_S = 0.05
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(
         "stream",
-        help="play a WAV on an actuator",
+        help=HELP["stream"],
         description="Play a WAV on an actuator, within its limits. Ctrl C stops softly.",
     )
     parser.add_argument("wav", type=Path, metavar="FILE.wav", help="mono; m/s² where it says so")

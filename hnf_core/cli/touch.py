@@ -11,6 +11,7 @@ from ..action.primitives import PRIMITIVES, Primitive
 from ..action.words import primitive_of
 from ..errors import UsageError
 from .probe import ProbePlace, probe_place
+from .verbs import HELP
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class TouchRequest:
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(
         "touch",
-        help="bake a scene and write what each stroke feels like as WAV files",
+        help=HELP["touch"],
         description="Open SCENE (.blend .gltf .glb .obj .ply .usd .fbx), find or place strokes, and write one WAV and "
         "one picture per stroke, the baked .blend and report.json to DIR. With no stroke in the scene or on the "
         "command line, one default stroke is placed on every touchable material.",

@@ -17,6 +17,7 @@ from .train_alignment import add_parser as _add_alignment
 from .train_encoder import add_parser as _add_encoder
 from .train_needs import check_seed_and_weights, torch_for
 from .train_tactile_map import add_parser as _add_tactile_map
+from .verbs import HELP
 
 if TYPE_CHECKING:
     from ..datasets.dataset import DataSet
@@ -36,7 +37,7 @@ SUBJECTS: tuple[Callable[[Any], object], ...] = (_add_tactile_map, _add_encoder,
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(
         "train",
-        help="train a field on recordings of one material, or another of the networks",
+        help=HELP["train"],
         description="Train one of the networks. Needs the extra [train].",
     )
     subjects = parser.add_subparsers(dest="what", metavar="WHAT", required=True)

@@ -1,0 +1,156 @@
+"""One stroke of ten seconds, synthesised in every way there is: how fast, how much memory, and how far from the model
+taken literally (F_Θ and every carrier at each of 10,000 samples a second, in float64)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..action.action import ACTION_RATE_HZ, Action
+from ..field import hops
+from ..field.carriers import MODEL_RATE_HZ
+from ..field.field import Field
+from ..field.plain import plain_texture
+from ..field.reference import synthesise_reference
+from ..field.stroke import StrokeInput, uniform_stroke
+from ..field.synthesis import contact_term, prepare, rendered
+from ..field.weights import load_field
+from ..material.library import find
+from .frame import Options, Row, Times, peak_mb
+from .synth_table import Grid, read_table, tabulate
+
+Float = NDArray[np.float64]
+
+NAME = "synth"
+MATERIAL = "leather"
+SECONDS, QUICK_SECONDS = 10.0, 0.3
+HIDDEN = 1024
+WINDOWS, QUICK_WINDOWS, WINDOW = 20, 2, 500
+"""Stretches all over the stroke in which errors are measured, and their samples."""
+TOLERANCES_DB = (-30.0, -40.0, -50.0)
+SEED = 11
+
+
+@dataclass(frozen=True)
+class Method:
+    """name: in the table. render: whole signal (count,) m/s². cold: with carriers that nobody has met before."""
+
+    name: str
+    render: Callable[[Field, StrokeInput, int], Float]
+    cold: bool = True
+    note: str = ""
+
+
+def rows(options: Options) -> list[Row]:
+    """Each method on the field that is shipped, with every unit in four equal parts: H = 1024, the same function."""
+    field, stroke = load_field(), ten_seconds(QUICK_SECONDS if options.quick else SECONDS)
+    if not options.quick:
+        field = widened(field, HIDDEN)
+    options.watch(f"{NAME}: the reference")
+    exact = replace(field, parameters={name: value.astype(np.float64) for name, value in field.parameters.items()})
+    starts = _windows(stroke, QUICK_WINDOWS if options.quick else WINDOWS)
+    literal = Times()
+    wanted = [
+        literal.take(partial(synthesise_reference, exact, stroke, seed=SEED, start=at, count=WINDOW)) for at in starts
+    ]
+    per_second = MODEL_RATE_HZ / WINDOW
+    pace = 1.0 / (literal.seconds.median * per_second)
+    reference = Row(
+        NAME, "literal, float64", realtime_factor=pace, note=f"the reference, in {len(starts)} windows of 50 ms",
+        peak_mb=peak_mb(partial(synthesise_reference, exact, stroke, seed=SEED, start=0, count=WINDOW)),
+    )  # fmt: skip
+    found = [reference]
+    for method in _methods(field, stroke):
+        options.watch(f"{NAME}: {method.name}")
+        found.append(_measured(method, field, stroke, starts, wanted, options.repeats))
+    return found
+
+
+def _measured(
+    method: Method, field: Field, stroke: StrokeInput, starts: list[int], wanted: list[Float], repeats: int
+) -> Row:
+    times, samples = Times(), method.render(field, stroke, SEED)
+    for repeat in range(repeats):
+        if method.cold:
+            forget_carriers()
+        times.take(partial(method.render, field, stroke, SEED + (repeat + 1) * method.cold))
+    missed = np.concatenate([samples[at : at + WINDOW] - exact for at, exact in zip(starts, wanted, strict=True)])
+    power = np.mean(np.square(np.concatenate(wanted)))
+    seconds = len(samples) / MODEL_RATE_HZ
+    return Row(
+        NAME, method.name, times.seconds, times.cpu, error=float(10.0 * np.log10(np.mean(np.square(missed)) / power)),
+        error_unit="dB", peak_mb=peak_mb(partial(method.render, field, stroke, SEED)), note=method.note,
+        realtime_factor=seconds / times.seconds.median,
+    )  # fmt: skip
+
+
+def _methods(field: Field, stroke: StrokeInput) -> list[Method]:
+    def plain(field: Field, stroke: StrokeInput, seed: int) -> Float:
+        prepared = prepare(field, stroke, seed=seed)
+        texture = plain_texture(prepared.amplitude, prepared.carriers, seed, prepared.action, 0, prepared.count)
+        return np.asarray(prepared.audible * (texture + contact_term(prepared, 0, prepared.count)))
+
+    def within(tolerance_db: float | None, field: Field, stroke: StrokeInput, seed: int) -> Float:
+        tolerance = None if tolerance_db is None else 10.0 ** (tolerance_db / 20.0)
+        return rendered(prepare(field, stroke, seed=seed, tolerance=tolerance))
+
+    material = stroke.tokens[0], stroke.mechanics[0], stroke.action.probe
+    table = tabulate(field, *material, Grid() if len(stroke.action.speed) > 1000 else Grid(4, 1, 1))
+
+    def tabled(field: Field, stroke: StrokeInput, seed: int) -> Float:
+        read = lambda _, condition: read_table(table, field, condition)  # noqa: E731
+        return rendered(prepare(field, stroke, seed=seed, tolerance=0.01, emission=read))
+
+    ways = [
+        Method("every 0.5 ms", partial(within, float("-inf")), note="F_Θ 2000 times a second"),
+        Method("every state, plain carriers", plain, note="200 times a second, carriers band by band in float64"),
+        Method("every state", partial(within, None), note="200 times a second; what scenes and previews use"),
+        *(Method(f"within {db:g} dB", partial(within, db), note="F_Θ where the action asks") for db in TOLERANCES_DB),
+        Method("within -40 dB, carriers kept", partial(within, -40.0), cold=False, note="the same stroke once more"),
+        Method("from a table, carriers kept", tabled, cold=False, note=f"{table.megabytes:.0f} MB for one material"),
+    ]
+    return ways
+
+
+def forget_carriers() -> None:
+    """As in a process that has just begun."""
+    for kept in (hops.time_hop, hops.arc_hop, hops._time_block, hops._arc_block):
+        kept.cache_clear()
+
+
+def widened(field: Field, hidden: int) -> Field:
+    """The same function from a network of `hidden` units: each unit in equal parts. hidden: a multiple of H."""
+    parts, parameters = hidden // field.config.hidden, dict(field.parameters)
+    for layer in range(field.config.layers):
+        weight = np.repeat(parameters[f"layer{layer}.weight"], parts, axis=0)
+        parameters[f"layer{layer}.weight"] = np.repeat(weight, parts, axis=1) / parts if layer else weight
+        parameters[f"layer{layer}.bias"] = np.repeat(parameters[f"layer{layer}.bias"], parts)
+    for head in ("alpha", "sigma"):
+        parameters[f"{head}.weight"] = np.repeat(parameters[f"{head}.weight"], parts, axis=1) / parts
+    single = {name: value.astype(np.float32) for name, value in parameters.items()}
+    return replace(field, config=replace(field.config, hidden=hidden), parameters=single)
+
+
+def ten_seconds(seconds: float) -> StrokeInput:
+    """What an artist keys: a hand that lands, speeds up and down, presses more and less, wanders within ±25° and rests
+    once on its way."""
+    time: NDArray[np.float64] = np.arange(round(seconds * ACTION_RATE_HZ) + 1) / ACTION_RATE_HZ
+    ends = np.clip(time / 0.15, 0.0, 1.0) * np.clip((seconds - time) / 0.15, 0.0, 1.0)
+    speed = 0.09 + 0.05 * np.sin(0.8 * np.pi * time) + 0.02 * np.sin(2.2 * np.pi * time + 1.0)
+    speed = speed * ends * (1.0 - np.exp(-np.square((time - 0.5 * seconds) / 0.1)))
+    force = (1.0 + 0.6 * np.sin(0.6 * np.pi * time)) * np.minimum(3.0 * ends, 1.0)
+    angle = np.radians(25.0 * np.sin(0.3 * np.pi * time))
+    place = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) / ACTION_RATE_HZ)])
+    ahead = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    material = find(MATERIAL)
+    action = Action(ACTION_RATE_HZ, ahead, speed, force, place, force > 0.0)
+    return uniform_stroke(action, material.token.astype(np.float32), material.mechanics)
+
+
+def _windows(stroke: StrokeInput, count: int) -> list[int]:
+    last = round((len(stroke.action.speed) - 1) / ACTION_RATE_HZ * MODEL_RATE_HZ) - WINDOW
+    return [int(at) for at in np.linspace(0, last, count)]
