@@ -1,4 +1,7 @@
-"""`hnf VERB` at a shell and `blender -b FILE --command hnf VERB`: the same words, the same behaviour."""
+"""`hnf VERB` at a shell and `blender -b FILE --command hnf VERB`: the same words, the same behaviour.
+
+What a verb needs is imported when it is asked for, so that `hnf --help` loads nothing.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,13 @@ import importlib.util
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from hnf_core.cli import export
-from hnf_core.cli.bench import not_here, run_benches
 from hnf_core.cli.main import main as run_command_line
-from hnf_core.cli.touch import request_from
 from hnf_core.errors import HnfError
-from hnf_core.export.surface import TouchedSurface
+
+if TYPE_CHECKING:
+    from hnf_core.export.surface import TouchedSurface
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -22,6 +25,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def run_touch(arguments: argparse.Namespace) -> int:
+    from hnf_core.cli.touch import request_from
+
     request = request_from(arguments)
     if importlib.util.find_spec("bpy") is None:
         raise HnfError(
@@ -35,6 +40,8 @@ def run_touch(arguments: argparse.Namespace) -> int:
 
 
 def run_bench(arguments: argparse.Namespace) -> int:
+    from hnf_core.cli.bench import not_here, run_benches
+
     try:
         from .bench.catalogue import BENCHES
     except ImportError as error:
@@ -43,6 +50,8 @@ def run_bench(arguments: argparse.Namespace) -> int:
 
 
 def run_export(arguments: argparse.Namespace) -> int:
+    from hnf_core.cli import export
+
     without_blender = importlib.util.find_spec("bpy") is None
     return export.run(arguments) if without_blender else export.run(arguments, surface_of_scene)
 

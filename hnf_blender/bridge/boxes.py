@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,23 +21,37 @@ def is_visible(obj: Any, view_layer: Any) -> bool:
 
 def world_box(obj: Any, depsgraph: Any, metres_per_unit: float = 1.0) -> tuple[Float, Float]:
     """Lowest and highest corner (3,) of the evaluated object's bounding box, in world units × metres_per_unit."""
-    evaluated = obj.evaluated_get(depsgraph)
-    world = np.array(evaluated.matrix_world, dtype=np.float64)
-    corners = np.array([tuple(corner) for corner in evaluated.bound_box]) @ world[:3, :3].T + world[:3, 3]
+    low, high = world_boxes([obj], depsgraph, metres_per_unit)
+    return low[0], high[0]
+
+
+def world_boxes(objects: Sequence[Any], depsgraph: Any, metres_per_unit: float = 1.0) -> tuple[Float, Float]:
+    """The same of many, (n, 3) each."""
+    evaluated = [obj.evaluated_get(depsgraph) for obj in objects]
+    world = np.array([each.matrix_world for each in evaluated], dtype=np.float64).reshape(-1, 4, 4)
+    corners = np.array([[tuple(corner) for corner in each.bound_box] for each in evaluated], dtype=np.float64)
+    corners = corners.reshape(-1, 8, 3) @ world[:, :3, :3].transpose(0, 2, 1) + world[:, None, :3, 3]
     corners *= metres_per_unit
-    return corners.min(axis=0), corners.max(axis=0)
+    return corners.min(axis=1), corners.max(axis=1)
 
 
 def neighbours_hash_parts(obj: Any, scene: Any, depsgraph: Any, metres_per_unit: float) -> list[str]:
-    """What stands around obj, as text: names and boxes (to 0.1 mm, relative to obj) of visible meshes within reach."""
+    """What stands around obj, as text: names, boxes (to 0.1 mm, relative to obj) and numbers of corners of visible
+    meshes within reach. A corner that moves within its mesh's box is not seen: it could at most free a better place."""
     low, high = world_box(obj, depsgraph, metres_per_unit)
-    near = []
-    for other in scene.objects:
-        if other == obj or other.type != "MESH" or not is_visible(other, depsgraph.view_layer):
-            continue
-        other_low, other_high = world_box(other, depsgraph, metres_per_unit)
-        if (other_low > high + REACH_M).any() or (other_high < low - REACH_M).any():
-            continue
-        box = np.round(np.concatenate([other_low - low, other_high - low]), 4) + 0.0
-        near.append(f"{other.name} {box.tolist()}")
-    return sorted(near)
+    others = [
+        other
+        for other in scene.objects
+        if other != obj and other.type == "MESH" and is_visible(other, depsgraph.view_layer)
+    ]
+    lows, highs = world_boxes(others, depsgraph, metres_per_unit)
+    near = np.flatnonzero((lows <= high + REACH_M).all(axis=1) & (highs >= low - REACH_M).all(axis=1))
+    boxes = np.round(np.concatenate([lows[near] - low, highs[near] - low], axis=1), 4) + 0.0
+    return sorted(
+        f"{others[index].name} {_corners(others[index], depsgraph)} {box.tolist()}"
+        for index, box in zip(near, boxes, strict=True)
+    )
+
+
+def _corners(obj: Any, depsgraph: Any) -> int:
+    return len(obj.evaluated_get(depsgraph).data.vertices)

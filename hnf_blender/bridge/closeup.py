@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hnf_core.material.material import Appearance
 from hnf_core.scene.camera import Camera
+from hnf_core.scene.near import mesh_near
 from hnf_core.scene.patch import CAMERA_DISTANCE_M, Patch
 from hnf_core.scene.raycast import CastView, RayCaster, cast_view
 from hnf_core.scene.view import RgbdView
@@ -141,7 +142,7 @@ def iter_closeups(
         prepare_cycles(temporary.scene, samples=1)
         geometry_only(temporary.scene)
         stage = set_stage(temporary, obj, metres_per_unit, frame, surface)
-        surface = stage.surface
+        surface = stage.surface if caster is not None else _within_reach(stage.surface, patches)
         caster = caster or ray_caster(surface.mesh)
         readings = {slot: tap_slot(stage, slot, where) for slot in sorted({patch.slot for patch in patches})}
         taps = [tap for reading in readings.values() for tap in reading.taps]
@@ -158,6 +159,12 @@ def iter_closeups(
             seen = cast_view(caster, surface.mesh, camera)
             scene = _Seen(patch, camera, seen, passes, readings[patch.slot], stage, metres_per_unit)
             yield _closeup(scene, surface, rays + seen.depth.size)
+
+
+def _within_reach(surface: Surface, patches: Sequence[Patch]) -> Surface:
+    """What the patches' cameras can see of it: no tree is built of faces out of reach."""
+    near = mesh_near(surface.mesh, [patch.centre for patch in patches], max(patch.reach_m for patch in patches))
+    return replace(surface, mesh=near) if len(near.triangles) else surface
 
 
 def _has_detail(slot: SlotReading) -> bool:

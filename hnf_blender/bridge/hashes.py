@@ -8,7 +8,7 @@ from typing import Any
 
 from hnf_core.files import content_hash
 
-from .images import image_files
+from .images import image_hash
 
 COSMETIC = frozenset({
     "name", "label", "location", "location_absolute", "width", "height", "select", "color", "use_custom_color",
@@ -35,14 +35,23 @@ NEUTRAL: dict[str, dict[str, object]] = {
 """Sockets and properties that came after Blender 4.2, by type of node, with the value that computes what versions
 without them compute. At that value they do not count."""
 
+CURVE_SETTINGS = (
+    "extend", "tone", "use_clip", "clip_min_x", "clip_min_y", "clip_max_x", "clip_max_y", "black_level", "white_level",
+)  # fmt: skip
+TEXTURE_MAPPING = (
+    "vector_type", "translation", "rotation", "scale", "mapping", "mapping_x", "mapping_y", "mapping_z", "use_min",
+    "use_max", "min", "max",
+)  # fmt: skip
+
 SAME = 1e-6
 """Blender keeps such values as float32."""
 
 
-def material_hash(material: Any) -> str:
+def material_hash(material: Any, frame: int = 1) -> str:
     """Hash of everything a material's node tree computes, images' pixels included; "" for no material.
 
-    What feeds only the viewport (preview, pass index, line art) does not count.
+    frame: of the scene, which says what image sequences show; all other values are as they stand now. What feeds only
+    the viewport (preview, line art) does not count, nor what is another object's or the mesh's (see owner.py).
     """
     if material is None:
         return ""
@@ -50,39 +59,17 @@ def material_hash(material: Any) -> str:
         plain = (material.diffuse_color, material.roughness, material.metallic)
         return content_hash("plain", repr([list(plain[0]), plain[1], plain[2]]))
     method = getattr(material, "displacement_method", "")
-    return content_hash("nodes", method, *_tree_parts(material.node_tree, set()))
+    return content_hash("nodes", method, *_tree_parts(material.node_tree, set(), frame))
 
 
-def image_hash(image: Any) -> str:
-    """Hash of an image's pixels as stored: packed bytes, files (all tiles of a UDIM), or generated settings."""
-    if image is None:
-        return ""
-    settings = (image.colorspace_settings.name, image.alpha_mode, image.source)
-    if image.is_dirty:  # painted but not saved: the pixels in memory are the truth
-        return content_hash(repr(settings), _pixels(image))
-    if image.packed_files:
-        return content_hash(repr(settings), *(bytes(each.packed_file.data) for each in image.packed_files))
-    if image.source == "GENERATED":
-        shape = (image.generated_type, list(image.generated_color), list(image.size))
-        return content_hash(repr(settings), repr(shape))
-    return content_hash(repr(settings), *(path.read_bytes() for path in image_files(image) if path.is_file()))
-
-
-def _pixels(image: Any) -> bytes:
-    import numpy as np
-
-    pixels = np.empty(len(image.pixels), dtype=np.float32)
-    image.pixels.foreach_get(pixels)
-    return pixels.tobytes()
-
-
-def _tree_parts(tree: Any, seen: set[str]) -> Iterator[str]:
+def _tree_parts(tree: Any, seen: set[str], frame: int) -> Iterator[str]:
     """Nodes in the order of their names (names give links their ends), then links."""
     if tree.name_full in seen:
         return
     seen.add(tree.name_full)
     if tree.animation_data is not None and tree.animation_data.drivers:
         yield repr([(driver.data_path, driver.driver.expression) for driver in tree.animation_data.drivers])
+    yield from _active_outputs(tree)
     for node in sorted(tree.nodes, key=lambda node: node.name):
         if node.bl_idname == "NodeFrame":
             continue
@@ -90,9 +77,9 @@ def _tree_parts(tree: Any, seen: set[str]) -> Iterator[str]:
         yield node.bl_idname
         yield repr(sorted(_simple_properties(node)))
         yield repr(list(_socket_values(node)))
-        if node.bl_idname.startswith(("ShaderNodeValue", "ShaderNodeRGB")):
+        if node.bl_idname.startswith(("ShaderNodeValue", "ShaderNodeRGB")) or node.bl_idname == "ShaderNodeNormal":
             yield repr([_socket_value(socket) for socket in node.outputs])
-        yield from _special_parts(node, seen)
+        yield from _special_parts(node, seen, frame)
     yield from sorted(
         f"{link.from_node.name}|{link.from_socket.identifier}|{link.to_node.name}|{link.to_socket.identifier}"
         for link in tree.links
@@ -136,23 +123,41 @@ def _socket_value(socket: Any) -> object:
         return getattr(value, "name_full", repr(value))
 
 
-def _special_parts(node: Any, seen: set[str]) -> Iterator[str]:
+def _special_parts(node: Any, seen: set[str], frame: int) -> Iterator[str]:
     image = getattr(node, "image", None)
     if image is not None:
-        yield image_hash(image)
+        yield image_hash(image, getattr(node, "image_user", None), frame)
     ramp = getattr(node, "color_ramp", None)
     if ramp is not None:
-        yield repr((ramp.interpolation, ramp.color_mode, [(e.position, list(e.color)) for e in ramp.elements]))
+        kinds = (ramp.interpolation, ramp.color_mode, ramp.hue_interpolation)
+        yield repr((*kinds, [(e.position, list(e.color)) for e in ramp.elements]))
     mapping = getattr(node, "mapping", None)
     if mapping is not None and hasattr(mapping, "curves"):
-        yield repr([[list(point.location) for point in curve.points] for curve in mapping.curves])
+        yield repr([[(list(point.location), point.handle_type) for point in curve.points] for curve in mapping.curves])
+        yield repr([_plain(getattr(mapping, name)) for name in CURVE_SETTINGS])
     texture = getattr(node, "texture_mapping", None)
     if texture is not None:
-        yield repr([list(texture.translation), list(texture.rotation), list(texture.scale), texture.vector_type])
+        yield repr([_plain(getattr(texture, name)) for name in TEXTURE_MAPPING])
+    for name in ("script", "ies"):
+        text = getattr(node, name, None)
+        if text is not None:
+            yield str(text.as_string())
     target = getattr(node, "object", None)
     if target is not None:
         yield repr([list(row) for row in target.matrix_world])
     group = getattr(node, "node_tree", None)
     if group is not None:
         yield group.name_full
-        yield from _tree_parts(group, seen)
+        yield from _tree_parts(group, seen, frame)
+
+
+def _active_outputs(tree: Any) -> Iterator[str]:
+    """Where a tree has several outputs of one kind: the one that counts."""
+    for kind in ("ShaderNodeOutputMaterial", "NodeGroupOutput"):
+        outputs = [node for node in tree.nodes if node.bl_idname == kind]
+        if len(outputs) > 1:
+            yield repr(sorted(node.name for node in outputs if node.is_active_output))
+
+
+def _plain(value: Any) -> object:
+    return value if isinstance(value, (bool, int, float, str)) else list(value)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -12,13 +12,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hnf_core.errors import SceneError
-from hnf_core.scene.mesh import TriangleMesh
+from hnf_core.scene.mesh import TriangleMesh, has_area, single_frame
 from hnf_core.scene.raycast import Closest, Hits, RayCaster, closest_on, refine_hits
 
 Float = NDArray[np.float64]
 Int = NDArray[np.int32]
 
 SOURCE_FACE = "hnf_source_face"
+SMALLEST_M, LARGEST_M = 1e-5, 1e6
+"""Nothing smaller than a hundredth of a millimetre, or larger than a country, is stroked by hand."""
 
 
 @dataclass(frozen=True)
@@ -78,11 +80,22 @@ def surface_mesh(obj: Any, depsgraph: Any, metres_per_unit: float) -> Surface:
     with evaluated_mesh(evaluated, depsgraph) as mesh:
         materials = materials_of(evaluated, mesh)
         triangles = _triangles(mesh, stretch, max(len(materials), 1), where)
+        _require_size(triangles, where)
         source, notes = _source_faces(original, mesh, depsgraph)
     if original.data.users > 1:
         notes = (*notes, f"{where} shares its mesh with {original.data.users - 1} other user(s).")
     names = tuple("" if material is None else material.name for material in materials)
     return Surface(original.name, triangles, rigid, stretch, source, names, notes)
+
+
+def _require_size(mesh: TriangleMesh, where: str) -> None:
+    """Raises SceneError where the unit must be another."""
+    size = float(np.ptp(mesh.vertices, axis=0).max())
+    if not SMALLEST_M <= size <= LARGEST_M:
+        raise SceneError(
+            f"it is {size:.2g} m across, and nothing like that is touched by hand.", where=where,
+            remedy="Check the unit scale (Scene properties > Units) and the object's own scale.",
+        )  # fmt: skip
 
 
 def flush_edits(obj: Any) -> None:
@@ -137,9 +150,10 @@ def evaluated_mesh(evaluated: Any, depsgraph: Any) -> Iterator[Any]:
         evaluated.to_mesh_clear()
 
 
-def mesh_hash(obj: Any, depsgraph: Any, metres_per_unit: float) -> str:
+def mesh_hash(obj: Any, depsgraph: Any, metres_per_unit: float, layers: Iterable[str] = ()) -> str:
     """Hash of what a touch can feel of obj's shape: positions, topology, UVs, material indices and scale.
 
+    layers: names of attributes, UV maps and colours that count too, "" = the colours that are drawn.
     Where the object stands and how it is turned does not count. 128 bits, hex.
     """
     original = obj.original
@@ -155,8 +169,13 @@ def mesh_hash(obj: Any, depsgraph: Any, metres_per_unit: float) -> str:
         digest.update(_read(mesh.corner_normals, "vector", np.float32, 3).data)
         uv = _uv(mesh)
         digest.update(b"" if uv is None else uv.data)
-    # The polar decomposition of a turned object differs in the last bits; a micrometre a metre does not, nor −0 from 0.
-    digest.update((np.round(stretch / metres_per_unit, 6) + 0.0).tobytes() + repr(float(metres_per_unit)).encode())
+        for name in sorted(set(layers)):
+            digest.update(_layer_bytes(mesh, name))
+    # The polar decomposition of a turned object differs in the last bits; a millionth of its scale does not, nor −0
+    # from 0. The power of two next to the scale is no number that a last bit changes.
+    scale = stretch / metres_per_unit
+    power = float(2.0 ** np.round(np.log2(np.linalg.norm(scale, 2))))
+    digest.update((np.round(scale / power, 6) * power + 0.0).tobytes() + repr(float(metres_per_unit)).encode())
     return digest.hexdigest()
 
 
@@ -165,31 +184,35 @@ class BlenderGeometry:
     barycentrics are float64. Slower than Embree for many rays; the only one with nearest points."""
 
     def __init__(self, mesh: TriangleMesh) -> None:
-        if len(mesh.triangles) == 0:
-            raise SceneError("the mesh has no faces to touch.", remedy="Give the object some faces.")
         from mathutils.bvhtree import BVHTree
 
         self._corners = mesh.corner_positions()
-        self._centre = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2.0
-        self._tree = BVHTree.FromPolygons(
-            (mesh.vertices - self._centre).tolist(), mesh.triangles.tolist(), all_triangles=True
-        )
+        self._frame = single_frame(self._corners)
+        vertices = self._frame.inside(mesh.vertices)
+        self._tree = BVHTree.FromPolygons(vertices.tolist(), mesh.triangles.tolist(), all_triangles=True)
+        self._facing: Any = None
+        self._kept = np.flatnonzero(has_area(self._corners)).astype(np.int32)
+        if len(self._kept) < len(mesh.triangles):
+            self._facing = BVHTree.FromPolygons(
+                vertices.tolist(), mesh.triangles[self._kept].tolist(), all_triangles=True
+            )
 
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
         origins = np.asarray(origins, dtype=np.float64).reshape(-1, 3)
         directions = np.asarray(directions, dtype=np.float64).reshape(-1, 3)
         triangle = np.full(len(origins), -1, dtype=np.int32)
+        tree = self._facing or self._tree
         for index, (origin, direction) in enumerate(
-            zip((origins - self._centre).tolist(), directions.tolist(), strict=True)
+            zip(self._frame.inside(origins).tolist(), directions.tolist(), strict=True)
         ):
-            found = self._tree.ray_cast(origin, direction)[2]
+            found = tree.ray_cast(origin, direction)[2]
             if found is not None:
-                triangle[index] = found
+                triangle[index] = self._kept[found]
         return refine_hits(self._corners, triangle, origins, directions)
 
     def closest_points(self, points: ArrayLike) -> Closest:
         points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-        nearest = [self._tree.find_nearest(point)[2] for point in (points - self._centre).tolist()]
+        nearest = [self._tree.find_nearest(point)[2] for point in self._frame.inside(points).tolist()]
         return closest_on(self._corners, np.array(nearest, dtype=np.int32).reshape(-1), points)
 
 
@@ -239,6 +262,29 @@ def _uv(mesh: Any) -> NDArray[np.float32] | None:
     """(loops, 2) of the UV map that renders, or None."""
     layer = next((layer for layer in mesh.uv_layers if layer.active_render), None)
     return None if layer is None else _read(layer.uv, "vector", np.float32, 2)
+
+
+VALUES = {
+    "FLOAT": ("value", np.float32, 1), "INT": ("value", np.int32, 1), "INT8": ("value", np.int32, 1),
+    "BOOLEAN": ("value", np.bool_, 1), "FLOAT_VECTOR": ("vector", np.float32, 3), "FLOAT2": ("vector", np.float32, 2),
+    "FLOAT_COLOR": ("color", np.float32, 4), "BYTE_COLOR": ("color", np.float32, 4),
+    "QUATERNION": ("value", np.float32, 4), "FLOAT4X4": ("value", np.float32, 16), "INT32_2D": ("value", np.int32, 2),
+    "INT16_2D": ("value", np.int32, 2),
+}  # fmt: skip
+"""Kinds of attributes: where their values are, of which type, how many an element."""
+
+
+def _layer_bytes(mesh: Any, name: str) -> bytes:
+    """Kind and values of a named attribute; the name alone where there is none."""
+    colours = mesh.color_attributes
+    if not name and len(colours):
+        name = colours[colours.render_color_index].name
+    attribute = mesh.attributes.get(name)
+    if attribute is None or attribute.data_type not in VALUES:
+        return name.encode()
+    values, dtype, width = VALUES[attribute.data_type]
+    data = _read(attribute.data, values, dtype, width)
+    return f"{name} {attribute.domain} {attribute.data_type}".encode() + data.tobytes()
 
 
 def _corner_vertices(mesh: Any) -> Int:

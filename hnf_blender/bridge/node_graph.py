@@ -73,6 +73,18 @@ class NodeGraph:
                 self._enter_groups(node.node_tree, own)
 
 
+def nodes_of(tree: Any, seen: set[str] | None = None) -> Iterator[Any]:
+    """Every node of a tree and of the groups in it."""
+    seen = set() if seen is None else seen
+    if tree is None or tree.name_full in seen:
+        return
+    seen.add(tree.name_full)
+    for node in tree.nodes:
+        yield node
+        if getattr(node, "node_tree", None) is not None:
+            yield from nodes_of(node.node_tree, seen)
+
+
 def _group_output(tree: Any) -> Any:
     outputs = [node for node in tree.nodes if node.bl_idname == "NodeGroupOutput"]
     return next((node for node in outputs if node.is_active_output), outputs[0] if outputs else None)

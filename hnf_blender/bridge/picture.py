@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -26,6 +27,99 @@ SAME_DEPTH = 1e-3
 """Relative depth difference under which a rendered pixel shows the surface that a ray met."""
 
 
+class Overviews:
+    """Lit views of one scene, one render each, on a temporary scene that Cycles keeps between them: what did not change
+    is neither loaded nor built again. Use as a context manager; other work may go on in the file meanwhile.
+
+    whole: everything in the scene is rendered; else what each view names, and the scene's lights, so that cost does not
+    follow the scene. The pictures are denoised where this Blender can. A scene without light gets a neutral dome.
+    Between two views no object of the user's is in the temporary scene, unless it is whole.
+    """
+
+    def __init__(self, scene: Any, *, metres_per_unit: float = 1.0, samples: int = 16, whole: bool = False) -> None:
+        self._scene, self._metres, self._samples, self._whole = scene, metres_per_unit, samples, whole
+        self._dome: Any = None
+
+    def __enter__(self) -> Overviews:
+        self.temporary = Temporary(self._scene if self._whole else None, lasting=True).__enter__()
+        try:
+            with self.temporary.making():
+                scene = self.temporary.scene
+                prepare_cycles(scene, self._samples)
+                _for_a_quick_look(scene)
+                scene.render.use_persistent_data = True
+                self.temporary.view_layer.use_pass_z = self.temporary.view_layer.use_pass_normal = True
+                self._camera = add_camera(self.temporary)
+        except BaseException:
+            self.temporary.__exit__(None, None, None)
+            raise
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.temporary.__exit__(None, None, None)
+
+    def view(
+        self, camera: Camera | None, objects: Sequence[Any] = (), frame: float | None = None
+    ) -> tuple[RgbdView, tuple[str, ...]]:
+        """(view, notes). camera: world metres; None = the scene's own. objects: to render, unless whole. frame: of the
+        scene, None = now."""
+        scene, temporary = self._scene, self.temporary
+        with temporary.making(), self._linked([] if self._whole else objects, scene.camera if camera is None else None):
+            notes = self._light(scene)
+            if camera is None:
+                camera = self._of_the_scene(frame)
+            else:
+                temporary.scene.camera = self._camera
+                aim(temporary.scene, self._camera, camera, np.eye(4), self._metres)
+                temporary.evaluate(_frame(scene, frame))
+            passes = render_passes(temporary)
+        depth = planar_depth(passes, self._metres)
+        view = RgbdView(
+            camera=camera,
+            rgb=np.ascontiguousarray(passes["Combined"][..., :3]),
+            depth=depth,
+            face_id=np.full(depth.shape, -1, dtype=np.int32),
+            normal=passes["Normal"][..., :3],
+        )
+        return view, notes
+
+    @contextmanager
+    def _linked(self, objects: Sequence[Any], camera: Any) -> Iterator[None]:
+        """objects, the scene's lights and its camera stand in the temporary scene in this block."""
+        lights = [] if self._whole else [each for each in self._scene.objects if each.type == "LIGHT"]
+        collection = self.temporary.scene.collection
+        guests = dict.fromkeys([*objects, *lights, *([] if camera is None or self._whole else [camera])])
+        try:
+            for guest in guests:
+                self.temporary.link(guest)
+            yield
+        finally:
+            for guest in guests:
+                if self.temporary.scene in guest.users_scene:
+                    collection.objects.unlink(guest)
+
+    def _light(self, scene: Any) -> tuple[str, ...]:
+        self.temporary.scene.world = scene.world
+        if is_lit(self.temporary.scene):
+            return ()
+        if self._dome is None:
+            add_dome(self.temporary.scene)
+            self._dome = self.temporary.scene.world
+        self.temporary.scene.world = self._dome
+        return ("the scene has no light: a neutral dome lights the picture.",)
+
+    def _of_the_scene(self, frame: float | None) -> Camera:
+        """The scene's own camera, evaluated and rendered from."""
+        from .scene_camera import camera_record
+
+        scene, temporary = self._scene, self.temporary
+        temporary.scene.camera = scene.camera
+        _copy_frame(scene, temporary.scene)
+        temporary.evaluate(_frame(scene, frame))
+        evaluated = scene.camera.evaluated_get(temporary.view_layer.depsgraph)
+        return camera_record(temporary.scene, scene.camera, self._metres, evaluated.matrix_world)
+
+
 def render_overview(
     scene: Any,
     camera: Camera | None,
@@ -37,50 +131,13 @@ def render_overview(
     caster: RayCaster | None = None,
     frame: float | None = None,
 ) -> tuple[RgbdView, tuple[str, ...]]:
-    """(view, notes): the lit scene. One render.
-
-    camera: world metres; None = the scene's own camera. objects: render only these, and the scene's lights, so that
-    cost does not follow the scene; None = everything. surface: fills face_id with the evaluated polygons of this
-    object where it is what the camera sees. The picture is denoised where this Blender can. A scene without light
-    gets a neutral dome, and notes say so. Nothing of the user's is changed.
-    """
-    notes: list[str] = []
-    with Temporary(None if objects is not None else scene) as temporary:
-        if objects is not None:
-            for obj in [*objects, *(each for each in scene.objects if each.type == "LIGHT" and each not in objects)]:
-                temporary.link(obj)
-            temporary.scene.world = scene.world
-        prepare_cycles(temporary.scene, samples)
-        temporary.view_layer.use_pass_z = temporary.view_layer.use_pass_normal = True
-        if not _is_lit(temporary.scene):
-            add_dome(temporary.scene)
-            notes.append("the scene has no light: a neutral dome lights the picture.")
-        if camera is None:
-            if objects is not None:
-                temporary.link(scene.camera)
-            temporary.scene.camera = scene.camera
-            _copy_frame(scene, temporary.scene)
-            temporary.evaluate(_frame(scene, frame))
-            from .scene_camera import camera_record
-
-            evaluated = scene.camera.evaluated_get(temporary.view_layer.depsgraph)
-            camera = camera_record(temporary.scene, scene.camera, metres_per_unit, evaluated.matrix_world)
-        else:
-            aim(temporary.scene, add_camera(temporary), camera, np.eye(4), metres_per_unit)
-            temporary.evaluate(_frame(scene, frame))
-        _for_a_quick_look(temporary.scene)
-        passes = render_passes(temporary)
-    depth = planar_depth(passes, metres_per_unit)
-    view = RgbdView(
-        camera=camera,
-        rgb=np.ascontiguousarray(passes["Combined"][..., :3]),
-        depth=depth,
-        face_id=np.full(depth.shape, -1, dtype=np.int32),
-        normal=passes["Normal"][..., :3],
-    )
+    """(view, notes): one view of Overviews. objects: None = everything. surface: fills face_id with the evaluated
+    polygons of this object where it is what the camera sees."""
+    with Overviews(scene, metres_per_unit=metres_per_unit, samples=samples, whole=objects is None) as overviews:
+        view, notes = overviews.view(camera, objects or (), frame)
     if surface is not None:
         view = replace(view, face_id=visible_faces(view, surface, caster or ray_caster(surface.mesh)))
-    return view, tuple(notes)
+    return view, notes
 
 
 def visible_faces(view: RgbdView, surface: Surface, caster: RayCaster) -> NDArray[np.int32]:
@@ -126,7 +183,7 @@ def add_dome(scene: Any) -> None:
     scene.world = world
 
 
-def _is_lit(scene: Any) -> bool:
+def is_lit(scene: Any) -> bool:
     """Is there a lamp, a world that is not black, or a material that glows?"""
     if any(obj.type == "LIGHT" and not obj.hide_render and obj.data.energy > 0.0 for obj in scene.objects):
         return True
@@ -170,6 +227,8 @@ def _for_a_quick_look(scene: Any) -> None:
         scene.cycles.use_denoising = True
         with quiet():  # naming one makes Cycles look for graphics cards, and say on standard output that there are none
             scene.cycles.denoiser = "OPENIMAGEDENOISE"
+        # Of the colour alone: with albedo and normal of so few samples the error is larger, not smaller.
+        scene.cycles.denoising_input_passes = "RGB"
         scene.cycles.denoising_prefilter = "FAST"
         if hasattr(scene.cycles, "denoising_quality"):
             scene.cycles.denoising_quality = "FAST"

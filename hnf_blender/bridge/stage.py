@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,14 +14,18 @@ from .. import compat
 from .appearance import ShaderReading, plain_shading, read_shader
 from .images import missing_image
 from .meshes import Surface, evaluated_mesh, flush_edits, materials_of, surface_frame, surface_mesh
-from .node_graph import NodeGraph
+from .node_graph import NodeGraph, nodes_of
+from .owner import dress, reads_of
 from .shader_colour import ColourSources, colour_sources
 from .shader_height import MicroGeometry
 from .taps import Tap, Tapper
 from .temporary import Temporary
 from .texels import IMAGE
+from .unsaved import REMEDY, is_read_from_file
 
 Float = NDArray[np.float64]
+
+RANDOM = "Object Info's Random cannot be repeated in a close-up: its pattern may differ."
 
 
 @dataclass(frozen=True)
@@ -53,16 +56,20 @@ def set_stage(
     original = obj.original
     where = f"object '{original.name}'"
     flush_edits(original)
+    home = _home(original, temporary.scene)
+    if frame is None and home is not None:
+        frame = float(home.frame_current_final)
     temporary.link(original)
     try:
-        depsgraph = temporary.evaluate(_frame_of(original, frame))
+        depsgraph = temporary.evaluate(frame)
         evaluated = original.evaluated_get(depsgraph)
         rigid, stretch = surface_frame(evaluated.matrix_world, metres_per_unit, where)
         with evaluated_mesh(evaluated, depsgraph) as mesh:
             materials = materials_of(evaluated, mesh)
-        worldly, generated, notes = _coordinates(original, [each for each in materials if each is not None])
+        reads = reads_of(original, materials)
+        notes = (RANDOM,) if "Random" in reads.info else ()
         deformed = _is_deformed(original)
-        true_place = worldly or (generated and deformed)
+        true_place = reads.worldly or (reads.generated and deformed)
         surface = surface or surface_mesh(original, depsgraph, metres_per_unit)
         data = original.data
         if deformed and not true_place:
@@ -71,10 +78,12 @@ def set_stage(
         temporary.scene.collection.objects.unlink(original)
     if true_place:
         actor = temporary.copy_object(original)
+        dress(actor, temporary.scene, original, home, reads)
         _render_as_shown(actor)
-        temporary.evaluate(_frame_of(original, frame))
+        temporary.evaluate(frame)
         return Stage(temporary, original, actor, rigid, metres_per_unit, stretch, notes, surface)
     actor = temporary.new_object("hnf actor", data)
+    dress(actor, temporary.scene, original, home, reads)
     matrix = np.eye(4)
     matrix[:3, :3] = stretch
     temporary.place(actor, matrix)
@@ -83,12 +92,9 @@ def set_stage(
     return Stage(temporary, original, actor, np.eye(4), 1.0, stretch, notes, surface)
 
 
-def _frame_of(obj: Any, frame: float | None) -> float | None:
-    """None → the current frame of a scene that obj stands in."""
-    if frame is not None:
-        return frame
-    scene = next((scene for scene in obj.users_scene if scene.library is None), None)
-    return None if scene is None else float(scene.frame_current_final)
+def _home(obj: Any, stage: Any) -> Any:
+    """A scene other than the stage that obj stands in, None = none."""
+    return next((scene for scene in obj.users_scene if scene.library is None and scene != stage), None)
 
 
 def _is_deformed(obj: Any) -> bool:
@@ -168,55 +174,19 @@ def _prepare_textures(stage: Stage, graph: NodeGraph) -> None:
             node.interpolation = "Cubic"  # bilinear normals and heights hum at the texel rate
 
 
-def nodes_of(tree: Any, seen: set[str] | None = None) -> Iterator[Any]:
-    """Every node of a tree and of the groups in it."""
-    seen = set() if seen is None else seen
-    if tree is None or tree.name_full in seen:
-        return
-    seen.add(tree.name_full)
-    for node in tree.nodes:
-        yield node
-        if getattr(node, "node_tree", None) is not None:
-            yield from nodes_of(node.node_tree, seen)
-
-
-def looks_at_world(obj: Any, materials: list[Any]) -> bool:
-    """Do obj's shaders depend on where it stands in the world?"""
-    return _coordinates(obj, materials)[0]
-
-
-def _coordinates(obj: Any, materials: list[Any]) -> tuple[bool, bool, tuple[str, ...]]:
-    """(looks at the world, uses Generated coordinates, notes) of an object's shaders."""
-    worldly = generated = False
-    notes: list[str] = []
-    for node in (node for material in materials for node in nodes_of(material.node_tree)):
-        used = {output.name for output in node.outputs if output.is_linked}
-        if node.bl_idname == "ShaderNodeNewGeometry":
-            worldly |= bool(used & {"Position", "Incoming"})
-        elif node.bl_idname == "ShaderNodeTexCoord":
-            worldly |= "Object" in used and node.object is not None and node.object != obj
-            worldly |= bool(used & {"Camera", "Window", "Reflection"})
-            generated |= "Generated" in used
-        elif node.bl_idname == "ShaderNodeVectorTransform":
-            worldly = True
-        elif node.bl_idname == "ShaderNodeObjectInfo":
-            worldly |= "Location" in used
-            if "Random" in used:
-                notes.append("Object Info's Random cannot be repeated in a close-up: its pattern may differ.")
-        elif node.bl_idname.startswith("ShaderNodeTex") and node.bl_idname != IMAGE:
-            vector = node.inputs.get("Vector")
-            generated |= vector is not None and not vector.is_linked
-    return worldly, generated, tuple(dict.fromkeys(notes))
-
-
 def _check_images(graph: NodeGraph, where: str) -> None:
-    """Raises SceneError naming the first image that the surface depends on and that cannot be loaded."""
+    """Raises SceneError naming the first image that the surface depends on and that cannot be loaded, or was painted
+    and not saved: the render would show the file, and the painting would be lost."""
     output = graph.output
     if output is None:
         return
     for name in ("Surface", "Displacement"):
         for node in graph.upstream(output.inputs[name]):
             if node.bl_idname == IMAGE and node.image is not None:
+                if is_read_from_file(node.image):
+                    raise SceneError(
+                        f"its texture '{node.image.name}' was painted and is not saved.", where=where, remedy=REMEDY
+                    )
                 problem = missing_image(node.image)
                 if problem is not None:
                     raise SceneError(

@@ -17,6 +17,7 @@ from hnf_core.action.deforming import DeformingMesh
 from hnf_core.action.time_law import (
     Motion,
     checked_force,
+    checked_motion,
     checked_progress,
     motion_at_speed,
     motion_from_progress,
@@ -113,6 +114,7 @@ def read_stroke(
     force, progress = sample_channels(obj, scene, (force_channel, progress_channel), frames)
     keyed, force = force, checked_force(force, frames, where=where, most=FORCE_MAX_N)
     motion = motion_of(group, law, checked_progress(progress, frames, where=where), time, arc.length, rate)
+    checked_motion(motion, where=where)
     placements = _placements(obj, target, scene, depsgraph, frames, metres_per_unit, moving) if moving else None
     samples = _samples(curve, arc, placements, time, motion, force)
     deforming = None

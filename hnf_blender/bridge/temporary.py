@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -20,18 +21,20 @@ class Temporary:
     """Holds one temporary scene; on leaving, every datablock made since entering is removed.
 
     The user's scenes, settings and selection are never touched. Use as a context manager. like: a scene to start
-    from (its objects, world and lights, shared), None = an empty one.
+    from (its objects, world and lights, shared), None = an empty one. lasting: other work goes on in the file before it
+    is left: what is made outside of making() is not removed.
     """
 
     scene: Any
 
-    def __init__(self, like: Any = None) -> None:
-        self._like = like
+    def __init__(self, like: Any = None, *, lasting: bool = False) -> None:
+        self._like, self._lasting = like, lasting
 
     def __enter__(self) -> Temporary:
         import bpy
 
         self._before = set(_all_ids())
+        self._made: set[int] = set()
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self.scene = None
         try:
@@ -40,9 +43,20 @@ class Temporary:
                 self.scene.view_layers.remove(layer)
             self.view_layer.name, self.view_layer.use = LAYER_NAME, True
         except BaseException:
+            self._made = set(_all_ids()) - self._before
             self._clean()
             raise
+        self._made = set(_all_ids()) - self._before
         return self
+
+    @contextmanager
+    def making(self) -> Iterator[None]:
+        """What is made in this block is removed with the rest, however long that is off."""
+        before = set(_all_ids())
+        try:
+            yield
+        finally:
+            self._made |= set(_all_ids()) - before
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -104,10 +118,13 @@ class Temporary:
 
         if self.scene is not None:
             self.scene.render.use_persistent_data = False
-        made = [block for pointer, block in _all_ids().items() if pointer not in self._before]
+        made = [block for uid, block in _all_ids().items() if self._is_ours(uid)]
         bpy.data.batch_remove(made)
         if self._folder is not None:
             self._folder.cleanup()
+
+    def _is_ours(self, uid: int) -> bool:
+        return uid in self._made if self._lasting else uid not in self._before
 
 
 VISIBLE = {

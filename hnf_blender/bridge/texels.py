@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from .images import picture_size
 from .taps import Passes, Tap, Tapper
 
 Mask = NDArray[np.bool_]
@@ -67,7 +68,7 @@ def image_tap(node: Any, tapper: Tapper) -> ImageTap:
         tree.links.new(active.outputs["UV"], vector)
         tap = tapper.output(active.outputs["UV"], "COLOR")
     scale = node.texture_mapping.scale
-    width, height = node.image.size
+    width, height = picture_size(node.image)
     flat = (width * scale[0], height * scale[1])
     # Box, sphere and tube projections look along all three axes.
     return ImageTap(node.image.name, tap, flat if node.projection == "FLAT" else (*flat, width * scale[2]))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import io
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from hnf_core.archive import DAMAGED
 from hnf_core.errors import FileError
 from hnf_core.files import write_text
 from hnf_core.material.palette import Palette
@@ -123,7 +123,7 @@ def unpack_tokens(data: bytes) -> FaceTokens:
                 confidence=arrays["confidence"].astype(np.float32),
                 source=str(arrays["source"]),
             )
-    except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile) as error:
+    except DAMAGED as error:
         raise FileError(f"the tokens are damaged ({error}).", where="job folder", remedy="Bake again.") from error
 
 

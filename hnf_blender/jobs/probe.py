@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
 from collections.abc import Generator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hnf_core.archive import DAMAGED
 from hnf_core.cli.probe import ProbePlace
 from hnf_core.errors import FileError
 from hnf_core.export.picture import linear_to_srgb
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 ANSWER_NAME = "probe.npz"
 PICTURE = "probe"
 """Name of the picture among the add-on's icons."""
-DAMAGED = (ValueError, KeyError, TypeError, OSError, EOFError, zipfile.BadZipFile)
 
 
 def probe_work(session: Session, place: ProbePlace, cache: Path, folder: Path) -> Generator[Began | Step, None, int]:

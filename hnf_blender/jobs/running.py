@@ -15,6 +15,7 @@ from hnf_core.cli.probe import ProbePlace
 from hnf_core.errors import FileError, HnfError
 
 from ..bridge.quiet import quiet
+from ..bridge.unsaved import check_saved
 from ..state.folders import cache_folder
 from ..state.probe import ProbeView
 from ..state.session import STATE, JobStatus, LastJob
@@ -50,6 +51,7 @@ class Bake:
     def __init__(self, scene: Any, view_layer: Any, only: Sequence[str] = (), place: ProbePlace | None = None) -> None:
         """Saves a copy of what is open and starts. Raises HnfError; nothing is left behind then."""
         self.started = time.monotonic()
+        check_saved(_named_surfaces(scene, only, place))
         self._prepared = prepare(scene, view_layer, only, place)
         self._child: Child | None = None
         self._committing: Generator[None, None, Committed] | None = None
@@ -209,6 +211,15 @@ def prepare(scene: Any, view_layer: Any, only: Sequence[str] = (), place: ProbeP
         remove_folder(folder)
         raise
     return Prepared(folder, order, belongs)
+
+
+def _named_surfaces(scene: Any, only: Sequence[str], place: ProbePlace | None) -> list[Any]:
+    """The objects that are known to be touched. What a stroke finds by itself is compared when the child has ended."""
+    if place is None:
+        surfaces = [curve.hnf_stroke.surface for curve in wanted_curves(scene, only)]
+    else:
+        surfaces = [scene.objects.get(place.target) or scene.objects.get(place.target.rpartition(":")[0])]
+    return [obj for obj in surfaces if obj is not None]
 
 
 def save_copy(path: Path) -> None:

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -17,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.action.action import Action
+from hnf_core.archive import DAMAGED
 from hnf_core.errors import FileError, HnfError, SceneError, StrokeError
 from hnf_core.field.stroke import HeightProfile, StrokeInput
 from hnf_core.material.mechanics import PROBES, Mechanics
@@ -167,10 +166,9 @@ def remove_bake(obj: Any) -> None:
 
 
 _AGAIN = "Bake the stroke again."
-_DAMAGE = (
-    HnfError, ValueError, KeyError, TypeError, IndexError, EOFError, OSError, MemoryError, NotImplementedError,
-    RuntimeError, zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
+
+
+_DAMAGE: tuple[type[Exception], ...] = (HnfError, *DAMAGED)
 
 
 def _planes(values: Float) -> NDArray[np.uint8]:

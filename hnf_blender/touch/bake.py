@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from hnf_core import __version__
 from hnf_core.files import content_hash
 from hnf_core.material.encoders import Encoder
 from hnf_core.material.hnf_file import MaterialFile
@@ -34,7 +35,7 @@ PATCH_PIXELS = 512
 @dataclass(frozen=True)
 class TouchedObject:
     """An object as strokes of this run meet it. shape_hash: of its geometry. shader_hashes: by material slot.
-    place_hash: where its shaders look at the world, of its place in it, else "". frame: scene frame, None = still.
+    owner_hash: of what its shaders read of the object beside its shape, "" = nothing. frame: scene frame, None = still.
     chosen: what the artist said on the materials themselves, by slot: library material, definition, "" = nothing.
     pictures: names of the textures that feed each slot's shader."""
 
@@ -42,7 +43,7 @@ class TouchedObject:
     surface: Surface
     shape_hash: str
     shader_hashes: tuple[str, ...]
-    place_hash: str
+    owner_hash: str
     metres_per_unit: float
     frame: float | None = None
     chosen: tuple[str | MaterialFile, ...] = ()
@@ -50,13 +51,16 @@ class TouchedObject:
 
 
 def patch_key(touched: TouchedObject, patch: Patch, encoder: str) -> str:
-    """Name of a patch's content: geometry, shader, place on the surface, and the way it is looked at. encoder: content
-    id of the E that describes what is measured."""
+    """Name of a patch's content: geometry, shader, place on the surface, and the way it is looked at, the add-on's own
+    version included; and the names that a record's notes say. encoder: content id of the E that describes what is
+    measured."""
     shader = touched.shader_hashes[patch.slot] if patch.slot < len(touched.shader_hashes) else ""
     place = np.round(np.concatenate([patch.centre, patch.x_axis, patch.normal]), 7) + 0.0
+    here = slice(patch.slot, patch.slot + 1)
+    names = repr((touched.surface.materials[here], touched.pictures[here]))
     return content_hash(
-        touched.shape_hash, shader, touched.place_hash, place.tobytes(), f"{patch.slot} {patch.size_m:.9g}",
-        f"{PATCH_PIXELS} {SENSOR} {encoder} {STORE_VERSION} {touched.frame}",
+        names, touched.shape_hash, shader, touched.owner_hash, place.tobytes(), f"{patch.slot} {patch.size_m:.9g}",
+        f"{__version__} {PATCH_PIXELS} {SENSOR} {encoder} {STORE_VERSION} {touched.frame}",
     )  # fmt: skip
 
 

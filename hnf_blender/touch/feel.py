@@ -21,7 +21,7 @@ from hnf_core.scene.patch import Patch
 from hnf_core.signal import Signal
 
 from ..bridge.strokes import SceneStroke
-from .bake import TouchedObject, bake_patches, source_of, tactile_map_of, token_of
+from .bake import TouchedObject, bake_patches, encoder_of, source_of, token_of
 from .choose import Asked, SlotMaterial, chosen_material, decide_material
 from .report import Counts
 from .seeing import Seeing, why_unread
@@ -148,6 +148,17 @@ def bake_stroke_steps(
     )
 
 
+def without_maps(baked: BakedStroke) -> BakedStroke:
+    """What its faces' tokens follow from, and none of the maps and pictures that led there: a thousand strokes' would
+    fill the memory."""
+    none = np.zeros((0, 0), dtype=np.bool_)
+    records = tuple(
+        replace(record, height=None, mask=none, look=None, predicted=None, encoder=encoder_of(record))
+        for record in baked.records
+    )
+    return replace(baked, records=records)
+
+
 def feel(baked: BakedStroke, field: Field, seed: int, counts: Counts) -> Felt:
     """Synthesise a baked stroke. counts grows by one F_Θ call."""
     given = stroke_input(baked)
@@ -161,8 +172,7 @@ def stroke_input(baked: BakedStroke) -> StrokeInput:
     """What the field is asked about a baked stroke: one token and one mechanics per patch. The height under the path is
     that of measured maps alone: a predicted one has the right texture, not the right place of every grain."""
     action = action_from_contacts(baked.contacts, baked.patches, baked.patch_index, baked.stroke.probe)
-    maps = [tactile_map_of(record) for record in baked.records]
-    profile = stroke_profile(action.position, baked.contacts.point, baked.patch_index, baked.patches, maps)
+    profile = stroke_profile(action.position, baked.contacts.point, baked.patch_index, baked.patches, baked.records)
     if profile is not None:
         # Its maps are float32: more digits would say nothing, and a stored stroke would be twice as large.
         profile = replace(profile, height=profile.height.astype(np.float32).astype(np.float64))

@@ -6,6 +6,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from hnf_core import __version__
 from hnf_core.action.primitives import DEFAULT_PRIMITIVE, Primitive
 from hnf_core.cli.touch import TouchRequest
@@ -18,12 +20,12 @@ from hnf_core.material.library import LIBRARY_PATH, find
 from ..bridge.boxes import is_visible, neighbours_hash_parts
 from ..bridge.hashes import material_hash
 from ..bridge.importers import size_warning
-from ..bridge.meshes import Surface, flush_edits, mesh_hash, slot_materials, surface_mesh
+from ..bridge.meshes import Surface, flush_edits, mesh_hash, slot_materials, surface_frame, surface_mesh
 from ..bridge.own_material import own_word
+from ..bridge.owner import owner_text, reads_of
 from ..bridge.picture_names import picture_names
 from ..bridge.placement import default_slots, place_primitive
 from ..bridge.shader_colour import Shows, shows
-from ..bridge.stage import looks_at_world
 from ..bridge.strokes import SceneStroke, path_hash, read_stroke, stroke_objects, touch_hash
 from .bake import PATCH_PIXELS, TouchedObject
 from .inputs import Inputs
@@ -59,13 +61,13 @@ class Job:
 @dataclass(frozen=True)
 class SurfaceFacts:
     """What the plan knows of an object without a triangle of it. materials: names by slot. shows: what each slot's
-    shader can tell of its relief. chosen, shape_hash, shader_hashes, place_hash, pictures: see TouchedObject."""
+    shader can tell of its relief. chosen, shape_hash, shader_hashes, owner_hash, pictures: see TouchedObject."""
 
     materials: tuple[str, ...]
     chosen: tuple[str | MaterialFile, ...]
     shape_hash: str
     shader_hashes: tuple[str, ...]
-    place_hash: str
+    owner_hash: str
     shows: tuple[Shows, ...]
     pictures: tuple[tuple[str, ...], ...]
 
@@ -117,7 +119,7 @@ class Session:
                 surface=self.surface(obj),
                 shape_hash=facts.shape_hash,
                 shader_hashes=facts.shader_hashes,
-                place_hash=facts.place_hash,
+                owner_hash=facts.owner_hash,
                 metres_per_unit=self.metres_per_unit,
                 chosen=facts.chosen,
                 pictures=facts.pictures,
@@ -133,13 +135,13 @@ class Session:
                 )
             flush_edits(obj)
             slots = slot_materials(obj, self.depsgraph)
-            worldly = looks_at_world(obj, [material for material in slots if material is not None])
+            reads = reads_of(obj, slots)
             self._facts[obj.name] = SurfaceFacts(
                 materials=tuple("" if material is None else material.name for material in slots),
                 chosen=tuple("" if material is None else own_word(material) for material in slots),
-                shape_hash=mesh_hash(obj, self.depsgraph, self.metres_per_unit),
-                shader_hashes=tuple(material_hash(material) for material in slots),
-                place_hash=repr([list(row) for row in obj.matrix_world]) if worldly else "",
+                shape_hash=mesh_hash(obj, self.depsgraph, self.metres_per_unit, reads.layers),
+                shader_hashes=tuple(material_hash(material, self.scene.frame_current) for material in slots),
+                owner_hash=owner_text(obj, self.scene, slots, reads),
                 shows=tuple(shows(material) for material in slots),
                 pictures=tuple(picture_names(material) for material in slots),
             )
@@ -201,6 +203,9 @@ class Session:
     def job_to_place(self, name: str, target: Target, primitive: Primitive) -> Job:
         obj, seed = self.scene.objects[target.object_name], self.seed(0)
         around = neighbours_hash_parts(obj, self.scene, self.depsgraph, self.metres_per_unit)
+        world = obj.evaluated_get(self.depsgraph).matrix_world
+        rigid, _ = surface_frame(world, self.metres_per_unit, f"object '{obj.name}'")
+        around.append(repr((np.round(rigid[2, :3], 3) + 0.0).tolist()))  # which side is up: an underside is avoided
         path = content_hash("placed", primitive.name, str(target.slot), *around)
         inputs = self._inputs(obj.name, "", path, content_hash(str(seed)))
         return Job(name, obj.name, inputs, seed, primitive=primitive, slot=target.slot)
@@ -217,7 +222,7 @@ class Session:
             made_by=self._made_by,
             scale=repr(self.metres_per_unit),
             shape=facts.shape_hash,
-            shading=content_hash(facts.place_hash, *facts.shader_hashes, *names),
+            shading=content_hash(facts.owner_hash, *facts.shader_hashes, *names),
             sight=self.seeing.content_id if reads else "",
             choices=content_hash(choices, material, *(_hashable(word) for word in facts.chosen)),
             path=path,

@@ -73,7 +73,8 @@ class Report:
     """Grows during a run; written after every stroke, so that a stopped run leaves a true account.
 
     metres_per_unit: length of a scene unit, which every height and speed is scaled by; scale_source: who said so.
-    probes: an entry for each place that was looked at, as docs/probe.md says it.
+    probes: an entry for each place that was looked at, as docs/probe.md says it. files: those beside the scene's own
+    that it was read with.
     """
 
     scene: str
@@ -87,6 +88,7 @@ class Report:
     warnings: list[str] = field(default_factory=list)
     baked_blend: str = ""
     probes: list[dict[str, Any]] = field(default_factory=list)
+    files: list[str] = field(default_factory=list)
 
     def warn(self, text: str) -> None:
         if text not in self.warnings:

@@ -21,6 +21,7 @@ from .deliver import deliver, save_baked
 from .feel import BakedStroke, feel
 from .jobs import Gathered, Job, Session, gather
 from .lock import folder_lock
+from .outside import outside_files
 from .plan import TYPICAL_PATH_M, Fresh, Needed, Plan, patches_at_most
 from .probe_report import probe_line
 from .probe_run import keep_strokes, run_probes, with_probes, without_strokes
@@ -76,14 +77,15 @@ def touch_steps(
             report.warn(f"stroke '{stroke.name}': {warning}")
     if found.jobs and all(job.key in fresh for job in found.jobs) and baked_path.is_file():
         return
-    views = Views(session.scene, lambda: session.depsgraph, session.metres_per_unit, report.counts)
+    with Views(session.scene, session.depsgraph, session.metres_per_unit, report.counts) as views:
 
-    def each(job: Job, described: BakedStroke) -> Iterator[str]:
-        if job.key not in fresh:
-            yield "synthesis"
-            report.strokes.append(_feel(session, job, described, views, report))
+        def each(job: Job, described: BakedStroke) -> Iterator[str]:
+            if job.key not in fresh:
+                yield "synthesis"
+                report.strokes.append(_feel(session, job, described, views, report))
 
-    baked = yield from _written(bake_steps(session, found.jobs, folder / CACHE_NAME, report, each), report, folder)
+        steps = bake_steps(session, found.jobs, folder / CACHE_NAME, report, each)
+        baked = yield from _written(steps, report, folder)
     if baked:
         with timed(report, "save_s"):
             for warning in store_tokens(baked):
@@ -164,6 +166,7 @@ def _new_report(session: Session, found: Gathered) -> Report:
         scale_source="the scene's units" if request.metres_per_unit is None else "--scale",
         skipped=list(found.skipped),
         failed=list(found.failed),
+        files=outside_files(_source(request)),
     )
     for note in found.notes:
         report.warn(note)

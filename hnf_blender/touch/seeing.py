@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hnf_core.blas import one_blas_thread
 from hnf_core.field.weights import encoders_of, load_field
 from hnf_core.files import content_hash
 from hnf_core.material.encoders import Encoder, default_encoder, describe_with, encoder_by_name
 from hnf_core.material.token import Token
-from hnf_core.tactile.diffusion.blas import one_blas_thread
 from hnf_core.tactile.diffusion.predict import DEFAULT_STEPS, predict
 from hnf_core.tactile.diffusion.weights import DEFAULT_WEIGHTS, MapWeights, load_map_weights
 from hnf_core.tactile.tactile_map import Route, TactileMap

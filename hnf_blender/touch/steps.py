@@ -12,7 +12,7 @@ from pathlib import Path
 from hnf_core.cli.progress import Progress
 from hnf_core.errors import HnfError
 
-from .feel import BakedStroke, bake_stroke_steps
+from .feel import BakedStroke, bake_stroke_steps, without_maps
 from .jobs import Job, Session
 from .report import Failed, Report
 
@@ -28,7 +28,7 @@ def bake_steps(
     """Bake every job and hand it to each; one that fails is named in the report and does not cost the others.
 
     cache: folder of the patches' records. report: its failed, warnings, counts and timings grow. Yields before each
-    stage; the last one, "saving", is the caller's, who gets all that could be described.
+    stage; the last one, "saving", is the caller's, who gets all that could be described, without their maps.
     """
     baked: list[BakedStroke] = []
     total = len(jobs) + 1
@@ -38,7 +38,7 @@ def bake_steps(
             with timed(report, "bake_s"):
                 rendering = _bake(session, job, cache, report)
                 described = yield from _shares(rendering, f"{job.name}: close-ups", done, total)
-            baked.append(described)
+            baked.append(without_maps(described))
             for stage in each(job, described):
                 yield Progress(f"{job.name}: {stage}", done, total, 0.9)
         except HnfError as error:

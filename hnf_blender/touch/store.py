@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hnf_core.archive import DAMAGED
 from hnf_core.files import write_bytes
 from hnf_core.material.material import Appearance
 from hnf_core.material.token import Token
@@ -21,7 +21,6 @@ from ..bridge.look import Look
 
 STORE_VERSION = 2
 PREDICTION_VERSION = 1
-_DAMAGED = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 
 
 @dataclass(frozen=True)
@@ -99,7 +98,7 @@ def load_patch(folder: Path, key: str) -> PatchRecord | None:
                 look=_look_from(data) if bool(data["pictured"]) else None,
                 encoder=str(data["encoder"]),
             )
-    except _DAMAGED:
+    except DAMAGED:
         return None
 
 
@@ -146,7 +145,7 @@ def load_prediction(folder: Path, key: str) -> Prediction | None:
                 encoder=str(data["encoder"]),
                 weights=str(data["weights"]),
             )
-    except _DAMAGED:
+    except DAMAGED:
         return None
 
 

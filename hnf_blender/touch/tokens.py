@@ -87,4 +87,4 @@ def _still_true(mesh: Any, source: str) -> FaceTokens | None:
 
 def surface_source(surface: TouchedObject | SurfaceFacts) -> str:
     """Hash of what a surface's tokens are measured from."""
-    return content_hash(surface.shape_hash, *surface.shader_hashes, surface.place_hash)
+    return content_hash(surface.shape_hash, *surface.shader_hashes, surface.owner_hash)

@@ -7,8 +7,6 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from hnf_core.material.words import is_picture_name
-
 from ..state.session import Freshness, JobStatus, PlanLine, PlanView, StrokeStatus
 from ..translations import tr
 
@@ -157,6 +155,8 @@ def routes_lines(routes: str) -> tuple[str, ...]:
 
 def reason_text(reason: str) -> str:
     """ "'oak' in 'Old oak table'; roughness 0.60 fits" → "the name says oak; roughness 0.60 fits"."""
+    from hnf_core.material.words import is_picture_name  # here: switching on need not compile its patterns
+
     found = re.findall(r"'([^']+)' in '([^']*)'", reason)
     named = ", ".join(word for word, name in found if not is_picture_name(name))
     pictured = ", ".join(word for word, name in found if is_picture_name(name))
