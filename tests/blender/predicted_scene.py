@@ -90,10 +90,13 @@ def bake_open_scene(cache: Path) -> Baked:
     session = scene_session(bpy.context.scene, bpy.context.view_layer, cache)
     found = gather(session)
     report = Report("", 1.0, "", failed=list(found.failed))
-    steps = bake_steps(session, found.jobs, cache, report, lambda job, described: ())
-    while True:
-        try:
-            next(steps)
-        except StopIteration as done:
-            assert report.failed == []
-            return Baked(done.value, tuple(found.jobs), report)
+    strokes: list[BakedStroke] = []
+
+    def each(job: Job, described: BakedStroke) -> tuple[str, ...]:
+        strokes.append(described)
+        return ()
+
+    for _ in bake_steps(session, found.jobs, cache, report, each):
+        pass
+    assert report.failed == []
+    return Baked(tuple(strokes), tuple(found.jobs), report)

@@ -9,8 +9,9 @@ import numpy as np
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.field.live import LiveSynthesis
 from hnf_core.field.live_state import LiveState
+from hnf_core.field.plain import plain_texture
 from hnf_core.field.stroke import StrokeInput, uniform_stroke
-from hnf_core.field.synthesis import synthesise
+from hnf_core.field.synthesis import contact_term, prepare
 from hnf_core.field.weights import load_field
 from hnf_core.material.library import find
 
@@ -38,7 +39,10 @@ def on(action: Action, material: str) -> StrokeInput:
 
 
 def offline(stroke: StrokeInput) -> np.ndarray:
-    return synthesise(load_field(), stroke, seed=SEED).signal.samples.astype(np.float64)
+    """The whole stroke, its carriers plainly in float64."""
+    prepared = prepare(load_field(), stroke, seed=SEED)
+    texture = plain_texture(prepared.amplitude, prepared.carriers, SEED, prepared.action, 0, prepared.count)
+    return prepared.audible * (texture + contact_term(prepared, 0, prepared.count))
 
 
 def states(stroke: StrokeInput) -> list[LiveState]:

@@ -52,6 +52,18 @@ def test_the_table_has_a_cell_for_every_column_and_names_the_machine():
     assert lines[-1] == "processor P, cores 2"
 
 
+def test_a_real_time_factor_has_a_column_only_where_a_row_has_one_and_errors_in_db_a_name():
+    plain = Row("b", "slow", SPREAD, error=1e-3, error_unit="m/s²")
+    paced = Row("b", "fast", SPREAD, error=-47.5, error_unit="dB", realtime_factor=123.4)
+    assert "× real time" not in markdown([plain], {})
+    lines = markdown([plain, paced], {}).splitlines()
+    assert {line.count("|") for line in lines[:4]} == {14}
+    at = lines[0].split("|").index(" × real time ")
+    assert [line.split("|")[at].strip() for line in lines[2:4]] == ["", "123"]
+    assert "error_db" not in plain.to_json()
+    assert (paced.to_json()["error_db"], paced.to_json()["realtime_factor"]) == (-47.5, 123.4)
+
+
 @pytest.mark.parametrize(
     ("seconds", "words"), [(12.34, "12.3 s"), (1.0, "1 s"), (0.0123, "12.3 ms"), (4.5e-6, "4.5 µs"), (0.0, "0 µs")]
 )
@@ -141,3 +153,22 @@ def test_without_the_benches_as_in_the_extension_it_says_where_they_are():
     assert done.returncode == 1
     assert "no part of the extension" in done.stderr
     assert "pip install" in done.stderr
+
+
+def test_synthesis_has_a_row_for_every_way_and_an_error_beside_each(capsys):
+    assert hnf("synth", "--quick", "--repeats", "1", "--json") == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert rows[0]["method"] == "literal, float64"
+    assert all({"method", "realtime_factor", "peak_mb"} <= set(row) for row in rows)
+    assert all(row["realtime_factor"] > 0.0 and row["error_db"] < 0.0 for row in rows[1:])
+    errors = {row["method"]: row["error_db"] for row in rows[1:]}
+    assert errors["within -40 dB"] < -40.0 < -30.0 < errors["from a table, carriers kept"]
+    assert errors["every state"] == pytest.approx(errors["every state, plain carriers"], abs=0.5)
+
+
+def test_maps_have_an_error_beside_narrower_numbers(capsys):
+    assert hnf("maps", "--quick", "--repeats", "1", "--json") == 0
+    rows = {row["method"]: row for row in json.loads(capsys.readouterr().out)}
+    assert rows["D_φ of one view in float32"]["error"] < 1e-5
+    assert 0.0 < rows["E of an image in float16"]["error"] < 0.1
+    assert all(row["seconds"] > 0.0 and row["peak_mb"] > 0.0 for row in rows.values())

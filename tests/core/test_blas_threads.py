@@ -7,7 +7,7 @@ import threading
 import numpy as np
 import pytest
 
-from hnf_core.tactile.diffusion.blas import one_blas_thread, openblas_threads
+from hnf_core.blas import one_blas_thread, openblas_threads
 
 
 @pytest.fixture

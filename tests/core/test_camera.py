@@ -60,6 +60,23 @@ def test_a_pixel_ray_at_parameter_t_lies_at_planar_depth_t(camera, depth):
     np.testing.assert_allclose(uv, small.pixel_centres(), atol=1e-7)
 
 
+@given(cameras(), st.data())
+def test_a_rectangle_of_a_camera_has_the_rays_of_its_pixels(camera, data):
+    small = Camera(camera.kind, 7, 5, camera.intrinsics, camera.pose)
+    left, top = data.draw(st.integers(0, 6)), data.draw(st.integers(0, 4))
+    width, height = data.draw(st.integers(1, 7 - left)), data.draw(st.integers(1, 5 - top))
+    there = (slice(top, top + height), slice(left, left + width))
+    for own, whole in zip(small.crop(left, top, width, height).pixel_rays(), small.pixel_rays(), strict=True):
+        np.testing.assert_allclose(own, whole[there], rtol=0.0, atol=1e-11 * (1.0 + np.abs(whole).max()))
+
+
+@pytest.mark.parametrize("rectangle", [(-1, 0, 2, 2), (0, 0, 0, 2), (6, 0, 2, 2), (0, 4, 2, 2)])
+def test_a_rectangle_outside_the_picture_is_refused(rectangle):
+    camera = Camera("perspective", 7, 5, np.eye(3), np.eye(4))
+    with pytest.raises(ValueError, match="no part of 7 x 5"):
+        camera.crop(*rectangle)
+
+
 def test_a_close_up_shows_the_patch_in_its_own_frame():
     normal = np.array([0.0, 0.6, 0.8])
     patch = Patch(np.array([1.0, 2.0, 3.0]), np.array([1.0, 0.0, 0.0]), normal, slot=0, size_m=0.02)

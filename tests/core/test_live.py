@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from live_strokes import BLOCK, error, hand, live, live_of, offline, on, states, third_octaves_db
+from live_strokes import BLOCK, SEED, error, hand, live, live_of, offline, on, states, third_octaves_db
 
 from hnf_core.errors import StrokeError, UsageError
 from hnf_core.field.field import Field, FieldConfig, initial_parameters
@@ -14,6 +14,7 @@ from hnf_core.field.live import DELAY_STATES, LiveSynthesis
 from hnf_core.field.live_noise import KEPT_BLOCKS
 from hnf_core.field.live_state import LiveState
 from hnf_core.field.stroke import LIMITS, StrokeInput
+from hnf_core.field.synthesis import synthesise
 from hnf_core.field.weights import load_field
 from hnf_core.material.library import find
 from hnf_core.material.mechanics import Mechanics
@@ -31,6 +32,13 @@ def test_a_steady_slide_sounds_as_offline(material, speed, force):
     stroke = on(hand(speed, force, seconds=1.5), material)
     assert DELAY_STATES == 1
     assert error(live(stroke)[TOUCHED:], offline(stroke)[TOUCHED:]) < STEADY
+
+
+def test_what_is_exported_is_that_slide_too():
+    """Its carriers are read from fewer samples, which costs 57 dB at most; see test_texture.py."""
+    stroke = on(hand(0.1, 1.0, seconds=1.0), "denim")
+    exported = synthesise(load_field(), stroke, seed=SEED).signal.samples
+    assert error(live(stroke)[TOUCHED:], exported[TOUCHED:].astype(np.float64)) < 10 ** (-57 / 20)
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import pytest
 from hnf_core.action.smooth import steady_action, wandering_action
 from hnf_core.field import resampling
 from hnf_core.field.field import Field, FieldConfig, initial_parameters
+from hnf_core.field.hops import KEPT_TIME_HOPS
 from hnf_core.field.reference import texture_reference
 from hnf_core.field.resampling import resample
 from hnf_core.field.stroke import HeightProfile, uniform_stroke
@@ -106,16 +107,17 @@ def test_no_minute_is_louder_and_none_returns():
 
 
 def test_streaming_keeps_nothing():
-    """Memory after two dozen blocks all over the ten minutes is that after one: no table grows with what was played,
-    once the few noise blocks are there that are kept for the next render."""
+    """Memory after a hundred blocks all over the ten minutes is that after fifty: no table grows with what was played,
+    once the carriers are there that are kept for the next render."""
+    blocks = KEPT_TIME_HOPS + 2  # each of them brings eight hops of arc length and more
     shape = LONG.amplitude.tobytes()[:4096], LONG.bank.height.tobytes()
     tracemalloc.start()
     try:
-        for k in range(12):
-            render_block(LONG, k * 490_000, 500)
+        for k in range(blocks):
+            render_block(LONG, k * 115_000, 500)
         early = tracemalloc.get_traced_memory()[0]
-        for k in range(12):
-            render_block(LONG, 10_000 + k * 490_000, 500)
+        for k in range(blocks):
+            render_block(LONG, 50_000 + k * 115_000, 500)
         late = tracemalloc.get_traced_memory()[0]
     finally:
         tracemalloc.stop()

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -110,6 +111,41 @@ def test_weights_of_one_material_bring_it_along(tmp_path):
     assert read_wav(out).provenance["material"] == "mine"
 
 
+def test_a_material_kept_as_a_file_sounds_as_the_one_it_was_made_from(tmp_path, material):
+    kept, named, filed = tmp_path / "mine.hnf", tmp_path / "named.wav", tmp_path / "filed.wav"
+    assert hnf("materials", "--export", material, "--out", kept) == 0
+    assert hnf("synth", "--material", material, "--stroke", "rub-slow", "--out", named) == 0
+    assert hnf("synth", "--material", kept, "--stroke", "rub-slow", "--out", filed) == 0
+    assert filed.read_bytes() == named.read_bytes()
+
+
+def test_a_kept_material_of_another_encoder_brings_the_field_that_knows_it(tmp_path, material):
+    from hnf_core.field.weights import EVERY_ENCODER_WEIGHTS
+    from hnf_core.material.hnf_file import from_library, write_hnf
+    from hnf_core.material.library import find
+    from hnf_core.material.token import ENCODER_NAMES
+
+    if not EVERY_ENCODER_WEIGHTS.is_file():
+        pytest.skip("this package is without the field of every encoder")
+    ours = from_library(find(material))
+    written = {}
+    for name in ENCODER_NAMES:
+        kept, written[name] = tmp_path / f"{name}.hnf", tmp_path / f"{name}.wav"
+        write_hnf(kept, replace(ours, encoder=name))
+        assert hnf("synth", "--material", kept, "--stroke", "left-right-soft", "--out", written[name]) == 0
+    assert len({path.read_bytes() for path in written.values()}) == len(ENCODER_NAMES) > 1
+
+
+@pytest.mark.parametrize("content", [None, b"", b"not a material"])
+def test_a_file_that_is_no_material_is_refused_by_name(tmp_path, capsys, content):
+    kept = tmp_path / "mine.hnf"
+    if content is not None:
+        kept.write_bytes(content)
+    assert hnf("synth", "--material", kept, "--stroke", "rub-slow", "--out", tmp_path / "x.wav") == 1
+    assert "mine.hnf" in capsys.readouterr().err
+    assert not (tmp_path / "x.wav").exists()
+
+
 def test_position_is_the_integral_of_speed():
     time = np.array([0.0, 0.3, 1.0])
     action = action_from_table(time, np.zeros(3), np.array([0.0, 0.3, 0.1]), np.ones(3))
@@ -150,3 +186,29 @@ def test_a_byte_order_mark_and_other_column_order_are_no_obstacle(tmp_path):
     action = read_action_csv(path)
     assert len(action.speed) == 101
     assert math.isclose(action.speed[0], 0.1)
+
+
+def test_a_tolerance_is_another_way_to_the_same_touch(tmp_path, capsys, material):
+    plain, near = tmp_path / "plain.wav", tmp_path / "near.wav"
+    words = ("synth", "--material", material, "--stroke", "left-right-soft")
+    assert hnf(*words, "--out", plain) == 0
+    assert hnf(*words, "--tolerance", "-30", "--out", near) == 0
+    one, two = (read_wav(path).samples.astype(float) for path in (plain, near))
+    assert len(one) == len(two)
+    assert 0.0 < np.sqrt(np.mean(np.square(one - two))) < 0.1 * np.sqrt(np.mean(np.square(one)))
+
+
+@pytest.mark.parametrize("tolerance", ["-60", "3", "nan"])
+def test_a_tolerance_out_of_reach_is_refused(tmp_path, capsys, material, tolerance):
+    words = ("--stroke", "left-right-soft", "--tolerance", tolerance, "--out", tmp_path / "x.wav")
+    assert hnf("synth", "--material", material, *words) == 2
+    assert "-10 to -45 dB" in capsys.readouterr().err
+    assert not (tmp_path / "x.wav").exists()
+
+
+def test_a_tolerance_is_not_for_strokes_of_minutes(tmp_path, capsys, material):
+    table = tmp_path / "long.csv"
+    table.write_text(HEADER + "0,0,0.05,1\n130,0,0.05,1\n")
+    words = ("--action", table, "--tolerance", "-40", "--out", tmp_path / "x.wav")
+    assert hnf("synth", "--material", material, *words) == 2
+    assert "up to 120 s" in capsys.readouterr().err

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hnf_core.action.keys import Keys, eased_travel
@@ -34,6 +34,7 @@ def test_nan_names_stroke_and_frame():
 
 @settings(max_examples=50, deadline=None)
 @given(st.floats(1e-4, 2.0), st.floats(1e-3, 1.0), st.floats(0.0, 0.5))
+@example(0.03125, 1.0, 6e-8)
 def test_eased_travel_arrives_at_full_speed(distance, speed, ramp):
     keys = eased_travel(distance, speed, ramp)
     time = np.linspace(-0.1, float(keys.time[-1]) + 0.1, 5001)

@@ -21,7 +21,7 @@ LINE_LIMIT = 400
 # docs/architecture.md: a room may use the rooms of a lower floor only. Rooms of one floor do not know each other.
 FLOORS = (
     ("errors",),
-    ("units", "files", "signal", "tensor_file"),
+    ("units", "files", "signal", "tensor_file", "blas", "archive"),
     ("weights_file",),
     ("scene", "metrics"),
     ("tactile",),
@@ -33,7 +33,7 @@ FLOORS = (
     ("baselines",),
     ("export",),
     ("actuators",),
-    ("evaluation", "bench"),
+    ("evaluation", "bench", "batch"),
     ("cli",),
 )
 FLOOR_OF = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
@@ -201,7 +201,7 @@ def test_importing_the_core_loads_numpy_and_nothing_heavier() -> None:
         for path in python_files(CORE)
         if not path.is_relative_to(CORE / "training") and path not in TRAINED_RIVALS
     ]
-    heavy = ["bpy", "torch", "scipy", "matplotlib", "OpenEXR", "embreex", "safetensors"]
+    heavy = ["bpy", "torch", "scipy", "matplotlib", "OpenEXR", "embreex", "safetensors", "dask", "distributed"]
     code = (
         "import importlib, sys\n"
         f"for name in {modules!r}: importlib.import_module(name)\n"

@@ -1,0 +1,165 @@
+"""Nothing is done that the strokes of a scene do not need: what is read, built and rendered is counted, no time is.
+
+docs/benchmarks.md lists every rule and where its test is.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import bpy
+import numpy as np
+import pytest
+from builders import add_plane, bump_material
+from touch_scene import PLATE, line_stroke, ridge_plate
+
+from hnf_blender.bench.scale import bake_open_file
+from hnf_blender.bridge import boxes, closeup
+from hnf_blender.bridge.meshes import evaluated_mesh
+from hnf_blender.bridge.nearest_surface import nearest_surface
+from hnf_blender.bridge.storage import read_tokens
+from hnf_blender.touch import bake, jobs, tokens
+
+tokens_of = tokens.store_tokens
+SHORT_M = 0.01
+"""One close-up."""
+
+
+@pytest.fixture
+def read(monkeypatch):
+    """Names of the objects whose evaluated mesh was read, wherever that is imported."""
+    names = []
+
+    def counted(evaluated, depsgraph):
+        names.append(evaluated.name)
+        return evaluated_mesh(evaluated, depsgraph)
+
+    for module in [each for name, each in sys.modules.items() if name.startswith("hnf_blender.")]:
+        if getattr(module, "evaluated_mesh", None) is evaluated_mesh:
+            monkeypatch.setattr(module, "evaluated_mesh", counted)
+    return names
+
+
+def in_hidden_collection(obj) -> None:
+    """As an artist hides a whole collection from the view layer."""
+    collection = bpy.data.collections.new("Hidden")
+    bpy.context.scene.collection.children.link(collection)
+    bpy.context.scene.collection.objects.unlink(obj)
+    collection.objects.link(obj)
+    bpy.context.view_layer.layer_collection.children["Hidden"].exclude = True
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_no_mesh_is_read_but_that_under_the_stroke(tmp_path, read, named) -> None:
+    """Also where the stroke does not say what it touches: the others' boxes are too far. A hidden collection lies right
+    under it, and a muted stroke on another object."""
+    plate, other = ridge_plate(), add_plane("Other", 0.1, z=0.3)
+    in_hidden_collection(add_plane("Under it", 0.1))
+    line_stroke("Along", length=SHORT_M, **({"surface": plate} if named else {}))
+    line_stroke("Quiet", centre=(0.0, 0.0, 0.3), surface=other, mute=True)
+    cost = bake_open_file(tmp_path)
+    assert set(read) == {PLATE}
+    assert (cost.work["renders"], cost.work["F_Θ calls"]) == (1, 1)
+
+
+def test_the_next_surface_is_found_among_the_near_boxes(read) -> None:
+    """Of ten plates below each other the stroke's own and, to compare, none farther than that is read."""
+    for number in range(10):
+        add_plane(f"Plate {number}", 0.1, z=-0.01 * number)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    asked = []
+
+    def surfaces(obj):
+        asked.append(obj.name)
+        return jobs.surface_mesh(obj, depsgraph, 1.0)
+
+    points = np.array([[-0.01, 0.0, -0.0301], [0.01, 0.0, -0.0301]])
+    found = nearest_surface(points, bpy.context.scene, depsgraph, surfaces, 1.0, where="stroke")
+    assert (found.name, asked) == ("Plate 3", ["Plate 3"])
+
+
+def test_boxes_of_many_are_those_of_each() -> None:
+    for number in range(4):
+        obj = add_plane(f"Plate {number}", 0.1 + 0.1 * number)
+        obj.location, obj.rotation_euler, obj.scale = (number, -2.0, 0.5), (0.3 * number, 0.2, 1.0), (1.0, 2.0, number)
+    bpy.context.view_layer.update()
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    low, high = boxes.world_boxes(list(bpy.context.scene.objects), depsgraph, 0.01)
+    assert low.shape == high.shape == (4, 3)
+    for index, obj in enumerate(bpy.context.scene.objects):
+        corners = np.array([obj.matrix_world @ vertex.co for vertex in obj.data.vertices]) * 0.01
+        np.testing.assert_allclose([low[index], high[index]], [corners.min(axis=0), corners.max(axis=0)], atol=1e-7)
+    assert [each.shape for each in boxes.world_boxes([], depsgraph)] == [(0, 3), (0, 3)]
+
+
+def grid(cuts: int, size: float):
+    """A plate of cuts × cuts faces with ridges."""
+    plate = add_plane(PLATE, size)
+    plate.data.materials.append(bump_material("Ridges", wavelength=2e-3, height=6e-5))
+    bpy.context.view_layer.objects.active = plate
+    plate.select_set(True)
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.subdivide(number_cuts=cuts - 1)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert len(plate.data.polygons) == cuts * cuts
+    return plate
+
+
+def test_rays_meet_a_tree_of_the_faces_within_reach_alone(tmp_path, monkeypatch) -> None:
+    """A plate four times as large, as finely cut, gives the same tree, rays and renders."""
+    trees, caster = [], closeup.ray_caster
+
+    def counted(mesh):
+        trees.append(len(mesh.triangles))
+        return caster(mesh)
+
+    monkeypatch.setattr(closeup, "ray_caster", counted)
+    work = []
+    for cuts, size in ((40, 0.1), (80, 0.2)):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        line_stroke("Along", length=SHORT_M, surface=grid(cuts, size))
+        work.append(bake_open_file(tmp_path).work)
+    small, large = trees
+    assert small == large
+    assert 0 < small < 40 * 40
+    assert work[0] == work[1]
+
+
+def test_passes_are_rendered_of_the_touched_slot_alone(tmp_path, monkeypatch) -> None:
+    """And its images, shaders and nodes alone are copied: the others' materials have no tap."""
+    taps, add = [], closeup.add_aovs
+    monkeypatch.setattr(closeup, "add_aovs", lambda layer, found: (taps.extend(found), add(layer, found)))
+    plate = grid(4, 0.1)
+    for number in range(3):
+        plate.data.materials.append(bump_material(f"Not touched {number}", wavelength=3e-3, height=3e-5))
+    for face in plate.data.polygons:
+        face.material_index = 0 if face.center.y < 0.0 else 1 + face.index % 3
+    line_stroke("Along", length=SHORT_M, centre=(0.0, -0.03, 0.0), surface=plate)
+    bake_open_file(tmp_path)
+    assert taps
+    assert {tap.name.partition("_")[0] for tap in taps} == {"hnf0"}
+
+
+def test_a_map_is_pictured_for_its_token_and_not_again_for_the_path(tmp_path, monkeypatch) -> None:
+    """Two strokes over one place: one close-up, one token, and no sensor image beside E's own."""
+    pictured = []
+    monkeypatch.setattr(bake, "render_sensor_image", lambda *parts: pictured.append(parts))
+    plate = ridge_plate()
+    for seed in (1, 2):
+        line_stroke(f"Seed {seed}", length=SHORT_M, surface=plate, seed=seed)
+    cost = bake_open_file(tmp_path)
+    assert pictured == []
+    assert (cost.work["renders"], cost.work["F_Θ calls"]) == (1, 2)
+
+
+def test_no_map_is_held_once_its_stroke_is_felt(tmp_path, monkeypatch) -> None:
+    """Only what the faces' tokens follow from waits for the end."""
+    held = []
+    monkeypatch.setattr(tokens, "store_tokens", lambda strokes: (held.extend(strokes), tokens_of(strokes))[1])
+    plate = ridge_plate()
+    line_stroke("Along", length=SHORT_M, surface=plate)
+    bake_open_file(tmp_path)
+    (record,) = held[0].records
+    assert (record.height, record.look, record.predicted, record.mask.size) == (None, None, None, 0)
+    assert record.encoder
+    assert read_tokens(plate.data).index.tolist() == [0]

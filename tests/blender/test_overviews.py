@@ -1,0 +1,157 @@
+"""Several views on one temporary scene: each as if it were alone, and nothing of it left."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+import pytest
+from builders import add_plane, add_sphere, datablock_names
+
+from hnf_blender.bridge import picture
+from hnf_blender.bridge.meshes import surface_mesh
+from hnf_blender.bridge.picture import Overviews, render_overview
+from hnf_blender.bridge.render import prepare_cycles
+from hnf_blender.bridge.scene_camera import overview_camera
+from hnf_blender.bridge.temporary import SCENE_NAME, Temporary
+from hnf_blender.touch import view as touch_view
+from hnf_blender.touch.report import Counts
+from hnf_blender.touch.view import Views
+from hnf_core.errors import SceneError
+from hnf_core.export.picture import linear_to_srgb
+from hnf_core.scene.camera import Camera
+
+LEFT = overview_camera([[0, 0, 0]], [-1, -1, 0.2], 0.7, 96, 54)
+RIGHT = overview_camera([[0, 0, 0]], [1, -1, 0.2], 0.7, 80, 60)
+
+
+def coloured(obj, colour):
+    material = bpy.data.materials.new(obj.name)
+    material.use_nodes = True
+    material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (*colour, 1.0)
+    obj.data.materials.append(material)
+    return obj
+
+
+@pytest.fixture
+def things():
+    ball, floor = coloured(add_sphere(radius=0.5), (0.8, 0.1, 0.1)), coloured(add_plane(size=4.0, z=-0.5), (0, 0, 1))
+    bpy.context.view_layer.update()
+    return ball, floor
+
+
+def alone(camera, objects):
+    return render_overview(bpy.context.scene, camera, samples=2, objects=objects)[0]
+
+
+def assert_equal(view, other):
+    np.testing.assert_array_equal(view.depth, other.depth)
+    np.testing.assert_array_equal(view.rgb, other.rgb)
+
+
+def test_each_view_is_what_it_would_be_alone_whatever_was_rendered_before_it(things):
+    ball, floor = things
+    wanted = [(LEFT, [ball, floor]), (RIGHT, [ball]), (LEFT, [floor]), (LEFT, [ball, floor])]
+    with Overviews(bpy.context.scene, samples=2) as overviews:
+        found = [overviews.view(camera, objects)[0] for camera, objects in wanted]
+    for view, (camera, objects) in zip(found, wanted, strict=True):
+        assert_equal(view, alone(camera, objects))
+    assert not np.array_equal(found[0].depth, found[2].depth)
+
+
+@pytest.mark.parametrize("change", ["place", "shader", "shape", "light"])
+def test_what_changed_between_two_views_is_seen(things, change):
+    ball, floor = things
+    with Overviews(bpy.context.scene, samples=2) as overviews:
+        before, told = overviews.view(LEFT, [ball, floor])
+        assert len(told) == 1
+        if change == "place":
+            ball.location.z = 0.2
+        elif change == "shader":
+            ball.data.materials[0].node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0, 1, 0, 1)
+        elif change == "shape":
+            ball.data.vertices[0].co.z += 0.4
+            ball.data.update()
+        else:
+            lamp = bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "SUN"))
+            bpy.context.scene.collection.objects.link(lamp)
+        bpy.context.view_layer.update()
+        after, told = overviews.view(LEFT, [ball, floor])
+    assert not np.array_equal(before.rgb, after.rgb)
+    assert (told == ()) == (change == "light")
+    assert_equal(after, alone(LEFT, [ball, floor]))
+
+
+def test_other_work_goes_on_meanwhile_and_nothing_of_the_views_is_left(things):
+    ball, floor = things
+    before = datablock_names()
+    with Overviews(bpy.context.scene, samples=1) as overviews:
+        first, _ = overviews.view(LEFT, [ball, floor])
+        assert ball.users_scene == floor.users_scene == (bpy.context.scene,)
+        with Temporary() as temporary:
+            prepare_cycles(temporary.scene, 1)
+            temporary.copy_object(ball, with_data=True)
+        kept = bpy.data.objects.new("made meanwhile", None)
+        again, _ = overviews.view(LEFT, [ball, floor])
+    assert_equal(first, again)
+    assert kept.name == "made meanwhile"
+    bpy.data.objects.remove(kept)
+    assert datablock_names() == before
+
+
+def test_a_view_that_fails_leaves_no_object_behind(things):
+    ball, floor = things
+    before = datablock_names()
+    intrinsics = np.array([[50.0, 0.0, 20.0], [0.0, 60.0, 20.0], [0.0, 0.0, 1.0]])
+    oblong = Camera("perspective", 40, 40, intrinsics, LEFT.pose, 0.1, 10.0)
+    with Overviews(bpy.context.scene, samples=1) as overviews:
+        with pytest.raises(SceneError, match="not square"):
+            overviews.view(oblong, [ball])
+        assert ball.users_scene == (bpy.context.scene,)
+        view, _ = overviews.view(LEFT, [ball, floor])
+    assert np.isfinite(view.depth).any()
+    assert datablock_names() == before
+    assert SCENE_NAME not in bpy.data.scenes
+
+
+def test_a_rectangle_of_a_view_shows_what_the_whole_shows_there(things):
+    with Overviews(bpy.context.scene, samples=1, whole=True) as overviews:
+        overviews.temporary.scene.cycles.use_denoising = False
+        whole, _ = overviews.view(LEFT)
+        part, _ = overviews.view(LEFT.crop(30, 20, 24, 16))
+    there = whole.depth[20:36, 30:54]
+    both = np.isfinite(there) & np.isfinite(part.depth)
+    assert (np.isfinite(there) == np.isfinite(part.depth)).mean() > 0.99
+    np.testing.assert_allclose(np.median(part.depth[both] / there[both]), 1.0, rtol=1e-6)
+    assert np.quantile(np.abs(part.depth[both] / there[both] - 1.0), 0.95) < 1e-3
+
+
+def test_a_denoised_view_of_few_samples_is_nearer_to_many_samples_than_a_raw_one(things):
+    def srgb(samples, denoised):
+        with Overviews(bpy.context.scene, samples=samples, whole=True) as overviews:
+            overviews.temporary.scene.cycles.use_denoising = denoised
+            return linear_to_srgb(overviews.view(RIGHT)[0].rgb)
+
+    true = srgb(256, False)
+    raw, denoised = (np.sqrt(np.mean((srgb(4, each) - true) ** 2)) for each in (False, True))
+    assert 0.0 < denoised < 0.7 * raw
+
+
+def test_the_pictures_of_a_run_are_taken_on_one_scene_and_none_is_made_without_a_stroke(things, monkeypatch):
+    _, floor = things
+    scenes = []
+    monkeypatch.setattr(touch_view, "WIDTH", 96)
+    monkeypatch.setattr(touch_view, "HEIGHT", 54)
+    monkeypatch.setattr(picture, "prepare_cycles", lambda scene, samples: scenes.append(prepare_cycles(scene, 1)))
+    depsgraph, counts = bpy.context.evaluated_depsgraph_get(), Counts()
+    surface = surface_mesh(floor, depsgraph, 1.0)
+    with Views(bpy.context.scene, depsgraph, 1.0, counts) as views:
+        assert (scenes, counts.renders) == ([], 0)
+        for x in (0.8, 1.2):
+            point = np.stack([np.linspace(x, x + 0.1, 5), np.zeros(5), np.zeros(5)], axis=1)
+            contacts = SimpleNamespace(point=point, normal=np.tile([0.0, 0.0, 1.0], (5, 1)), force=np.ones(5))
+            shown, _ = views.of_stroke(contacts, surface, floor)
+            assert np.ptp(shown.path[:, 0]) > 15
+    assert (len(scenes), counts.renders) == (1, 2)
+    assert SCENE_NAME not in bpy.data.scenes

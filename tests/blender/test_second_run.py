@@ -1,0 +1,17 @@
+"""The bench of a run that has nothing to do. No time is asserted."""
+
+from __future__ import annotations
+
+import pytest
+
+from hnf_blender.bench.second_run import AGAIN, OPEN, rows
+from hnf_blender.compat import version
+from hnf_core.bench.frame import Options
+
+
+@pytest.mark.skipif(version() < (5, 0, 0), reason="one Blender is enough for a bench's rows")
+def test_a_second_run_is_measured_after_opening_and_loads_nothing_heavy():
+    opened, again = rows(Options(repeats=1, quick=True))
+    assert (opened.method, again.method, again.ratio_to) == (OPEN, AGAIN, OPEN)
+    assert again.ratio.median == pytest.approx(again.cpu.median / opened.cpu.median)
+    assert again.note.rpartition("; ")[2] == "numpy, bpy"

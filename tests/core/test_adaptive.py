@@ -1,0 +1,159 @@
+"""F_Θ where the action asks for it: the tolerance is kept, and no state is evaluated that it does not need."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_synthesis import FOAM, WOOD, linear_field, make_action, rough_token, steady
+
+from hnf_core.action.primitive_path import primitive_action
+from hnf_core.action.primitives import PRIMITIVES
+from hnf_core.field.adaptive import COARSEST, FINEST, sample_emission
+from hnf_core.field.field import Emission, evaluate
+from hnf_core.field.reference import synthesise_reference
+from hnf_core.field.stroke import HeightProfile, uniform_stroke
+from hnf_core.field.synthesis import prepare, render_block, synthesise
+from hnf_core.field.timeline import action_at, condition_of, sample_count, states_of
+from hnf_core.field.weights import load_field
+from hnf_core.material.library import find
+
+
+def counted(evaluation):
+    """The same, and the samples that it was asked for."""
+    asked = []
+
+    def emit(at):
+        asked.extend(at.tolist())
+        return evaluation(at)
+
+    return emit, asked
+
+
+def of_time(function):
+    """An emission of one head, two carriers and one past state, from alpha (n,) of the sample."""
+
+    def emission(at):
+        alpha = np.stack([function(at), 0.5 * function(at)], axis=1)[:, None]
+        return Emission(alpha, np.ones((len(at), 1)))
+
+    return emission
+
+
+def missed(sampled, function, count) -> float:
+    every = np.arange(count + 1)
+    found, _ = sampled.reading(every)
+    return float(np.sqrt(np.mean(np.square(found[:, 0] - function(every))) / np.mean(np.square(function(every)))))
+
+
+@pytest.mark.parametrize("tolerance", [0.1, 0.03, 0.01, 0.003])
+def test_the_tolerance_is_kept_where_a_hand_lands_speeds_up_and_stops(tolerance):
+    def swell(at):
+        t = at / 1e4
+        return np.clip((t - 0.2) / 0.03, 0.0, 1.0) * (1.0 + 0.7 * np.sin(5.0 * t)) * np.clip((1.9 - t) / 0.05, 0.0, 1.0)
+
+    emit, asked = counted(of_time(swell))
+    sampled = sample_emission(emit, 20_000, tolerance)
+    assert missed(sampled, swell, 20_000) < tolerance
+    assert sampled.missed <= tolerance**2
+    assert len(asked) == len(set(asked))  # nothing twice
+    assert len(asked) < 20_000 / 20
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.floats(0.0, 3.0), min_size=3, max_size=9), st.sampled_from([0.05, 0.02]))
+def test_the_tolerance_is_kept_on_any_straight_lines(heights, tolerance):
+    """The worst there is for a straight line between knots: kinks, anywhere. Told from middles alone, so a factor."""
+    count = 1700 * (len(heights) - 1)
+
+    def lines(at):
+        return 0.5 + np.interp(at, 1700 * np.arange(len(heights)), heights)
+
+    assert missed(sample_emission(of_time(lines), count, tolerance), lines, count) < tolerance
+
+
+def test_what_stays_the_same_costs_the_coarse_grid_and_its_middles():
+    emit, asked = counted(of_time(lambda at: np.ones(len(at))))
+    sample_emission(emit, 40_000, 1e-3)
+    assert len(asked) == 40_000 // COARSEST + 1 + 40_000 // COARSEST
+
+
+def test_silence_ends_at_once():
+    emit, asked = counted(of_time(lambda at: np.zeros(len(at))))
+    assert sample_emission(emit, 4000, 0.0).missed == 0.0
+    assert len(asked) <= 2 * 4000 // COARSEST + 1
+
+
+def test_a_jump_is_closed_in_on_and_no_further():
+    emit, asked = counted(of_time(lambda at: (at > 3333).astype(float)))
+    sampled = sample_emission(emit, 8000, 0.0)
+    gaps = np.diff(sampled.at)
+    assert gaps.min() <= FINEST
+    jump = int(np.searchsorted(sampled.at, 3333, side="right"))
+    assert sampled.at[jump] - sampled.at[jump - 1] <= FINEST
+    assert len(asked) < 80
+
+
+def test_what_cannot_be_followed_is_told():
+    """A field that is another at every sample."""
+    rng = np.random.default_rng(0).random(8001)
+    sampled = sample_emission(of_time(lambda at: rng[at]), 8000, 0.01)
+    assert sampled.missed > 0.01**2
+    assert missed(sampled, lambda at: rng[at], 8000) > 0.01
+
+
+@pytest.mark.parametrize("material", ["leather", "cotton-canvas"])
+@pytest.mark.parametrize("name", ["left-right-soft", "rub-fast"])
+def test_the_shipped_field_is_within_the_tolerance(material, name):
+    """Against F_Θ at every tenth sample: amplitudes, as root of their power."""
+    field, of = load_field(), find(material)
+    stroke = uniform_stroke(primitive_action(PRIMITIVES[name], seed=0), of.token, of.mechanics)
+    action, index = states_of(stroke)
+    count = min(sample_count(action), 10_000)
+
+    def emit(at):
+        return evaluate(field, condition_of(stroke, *action_at(action, index, at)))
+
+    every = np.arange(0, count + 1, 10)
+    exact = emit(every).alpha[:, 0]
+    for tolerance_db in (-30.0, -40.0):
+        sampled = sample_emission(emit, count, 10 ** (tolerance_db / 20))
+        error = sampled.reading(every)[0] - exact
+        assert 10 * np.log10(np.sum(np.square(error)) / np.sum(np.square(exact))) < tolerance_db
+
+
+def test_a_signal_within_the_tolerance_of_the_reference():
+    time = np.arange(51) / 200.0
+    speed = 0.08 * np.clip(time / 0.1, 0.0, 1.0) * np.clip((0.25 - time) / 0.1, 0.0, 1.0)
+    stroke = uniform_stroke(make_action(speed, 0.5 + time), rough_token(), WOOD)
+    exact = synthesise_reference(linear_field(), stroke, seed=3, start=0, count=2500)
+    for tolerance_db in (-30.0, -40.0):
+        prepared = prepare(linear_field(), stroke, seed=3, tolerance=10 ** (tolerance_db / 20))
+        error = render_block(prepared, 0, prepared.count) - exact
+        assert 10 * np.log10(np.mean(np.square(error)) / np.mean(np.square(exact))) < tolerance_db
+
+
+def test_a_steady_stroke_needs_few_states_and_sounds_the_same():
+    stroke = uniform_stroke(steady(2.0), rough_token(), FOAM)
+    few, all_ = prepare(linear_field(), stroke, seed=1, tolerance=0.01), prepare(linear_field(), stroke, seed=1)
+    assert len(few.knots) < len(all_.amplitude) / 1.5
+    one, two = render_block(few, 4096, 8192), render_block(all_, 4096, 8192)
+    assert np.sqrt(np.mean(np.square(one - two))) < 1e-3 * np.sqrt(np.mean(np.square(two)))
+
+
+def test_in_the_air_there_is_exactly_nothing_within_a_tolerance_either():
+    force = np.where((np.arange(401) > 150) & (np.arange(401) < 250), 1.0, 0.0)
+    stroke = uniform_stroke(make_action(np.full(401, 0.1), force), rough_token(), WOOD)
+    values = synthesise(linear_field(), stroke, seed=0, tolerance=0.01).signal.samples
+    assert not values[: 150 * 50 - 500].any()
+    assert not values[250 * 50 + 1000 :].any()
+    assert values[150 * 50 : 250 * 50].any()
+
+
+def test_with_a_profile_every_state_is_evaluated():
+    stroke = uniform_stroke(steady(0.3), rough_token(), WOOD)
+    profile = HeightProfile(25e-6, -2e-3, 1e-6 * np.sin(np.arange(2000) / 5.0), 120e-6)
+    stroke = dataclasses.replace(stroke, profile=profile)
+    one, two = (synthesise(linear_field(), stroke, seed=0, tolerance=t).signal.samples for t in (None, 0.05))
+    assert one.tobytes() == two.tobytes()

@@ -1,0 +1,316 @@
+"""One attempt at a job, without any cluster: what it leaves when it ends well, badly, or with its worker."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from batch_builders import at_work, direct, half_written, order_for, pipe, processes_with, synth, table, until
+
+from hnf_core.batch import attempt as attempt_module
+from hnf_core.batch import child, in_child
+from hnf_core.batch.attempt import RUN_NAME, attempt, attempt_order, complaint, judged
+from hnf_core.batch.child import Ended
+from hnf_core.batch.inputs import version
+from hnf_core.batch.job import Job
+from hnf_core.batch.order import Order, Outcome, State, encode, outcome_from
+from hnf_core.batch.plan import make_plan
+from hnf_core.batch.record import Record, found_by, holds, outputs_in, read_record, write_record
+from hnf_core.batch.workplace import Marker, begin_with, is_dead, part_folder, publish, sweep
+from hnf_core.errors import FileError
+
+if sys.platform == "win32":
+    pytest.skip("hnf batch needs file locks of POSIX", allow_module_level=True)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return tmp_path / "out"
+
+
+def run(order: Order) -> Outcome:
+    return outcome_from(attempt(encode(order)))
+
+
+def fake(monkeypatch: pytest.MonkeyPatch, code: int | None, writes: str = "x") -> list[tuple[str, ...]]:
+    """Commands end with that code and write a file of that text; those that ran are listed."""
+    ran: list[tuple[str, ...]] = []
+
+    def run_child(words: tuple[str, ...], *_others: object) -> Ended:
+        ran.append(tuple(words))
+        Path(words[-1]).write_text(writes)
+        return Ended(code, 0.1, (), ("hnf: no.",))
+
+    monkeypatch.setattr(attempt_module, "run_child", run_child)
+    return ran
+
+
+def test_the_result_is_the_commands_own_and_is_made_once(tmp_path: Path, folder: Path) -> None:
+    action = table(tmp_path / "a.csv")
+    order = order_for(folder, "a", synth(action), action)
+    outcome = run(order)
+    assert (outcome.state, outcome.why, outcome.was_fresh) == (State.DONE, "", False)
+    assert (folder / "a" / "x.wav").read_bytes() == direct(synth(action), tmp_path / "direct.wav")
+    record = read_record(folder / "a")
+    assert record is not None
+    assert (record.exit_code, record.attempts, record.inputs) == (0, 1, order.inputs)
+    assert sorted(path.name for path in (folder / "a").iterdir()) == ["batch.json", "x.wav"]
+    assert half_written(folder) == []
+    stamp = (folder / "a").stat().st_ino
+    assert run(order).was_fresh
+    assert (folder / "a").stat().st_ino == stamp
+
+
+def test_what_changed_is_run_again_and_replaces_the_result(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    action = table(tmp_path / "a.csv")
+    ran = fake(monkeypatch, 0)
+    make = lambda: order_for(folder, "a", synth(action), action)  # noqa: E731
+    for _ in range(2):
+        assert run(make()).state is State.DONE
+    assert len(ran) == 1
+    table(action, force=2.0)
+    assert run(make()).state is State.DONE
+    assert run(replace(make(), words=tuple(synth(action, "--seed", "1")))).state is State.DONE
+    assert len(ran) == 3
+    (folder / "a" / "x.wav").write_text("damaged")
+    assert run(replace(make(), words=tuple(synth(action, "--seed", "1")))).state is State.DONE
+    assert len(ran) == 4
+    assert half_written(folder) == []
+
+
+def test_a_failure_costs_no_result_and_a_success_clears_it(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake(monkeypatch, 0, "good")
+    assert run(order_for(folder, "a", ["synth"])).state is State.DONE
+    fake(monkeypatch, 1, "bad")
+    outcome = run(order_for(folder, "a", ["synth", "--seed", "1"]))
+    assert (outcome.state, outcome.why) == (State.FAILED, "no.")
+    assert (folder / "a" / "x.wav").read_text() == "good"
+    record = read_record(folder / "a.failed")
+    assert record is not None
+    assert (record.exit_code, record.stderr) == (1, ("hnf: no.",))
+    fake(monkeypatch, 0, "better")
+    assert run(order_for(folder, "a", ["synth", "--seed", "2"])).state is State.DONE
+    assert (folder / "a" / "x.wav").read_text() == "better"
+    assert not (folder / "a.failed").exists()
+
+
+@pytest.mark.parametrize(
+    ("code", "state", "words"),
+    [
+        (0, State.DONE, ""),
+        (1, State.FAILED, "no such scene"),
+        (2, State.FAILED, "no such scene"),
+        (-11, State.ACCIDENT, "signal 11"),
+        (70, State.ACCIDENT, "it broke: hnf: no such scene"),
+        (None, State.STOPPED, "stopped"),
+    ],
+)
+def test_an_end_is_judged_by_its_code(code: int | None, state: State, words: str) -> None:
+    found, why = judged(Ended(code, 0.1, (), ("first", "hnf: no such scene", "")))
+    assert found is state
+    assert words in why
+
+
+def test_accidents_are_counted_and_only_the_last_one_leaves_a_folder(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran = fake(monkeypatch, -9)
+    order, states = order_for(folder, "a", ["synth"], retries=2), []
+    while True:
+        outcome = run(order)
+        states.append(((folder / "a.failed").exists(), len(outcome.earlier)))
+        if not order.is_tried_again(outcome):
+            break
+        order = replace(order, earlier=(*outcome.earlier, outcome.why))
+    assert states == [(False, 0), (False, 1), (True, 2)]
+    assert len(ran) == 3
+    assert half_written(folder) == []
+
+
+def test_an_exception_in_the_command_is_an_accident_and_a_refusal_is_not(
+    tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    refused = run(order_for(folder, "a", synth(tmp_path / "absent.csv")))
+    assert refused.state is State.FAILED
+    assert "absent.csv" in refused.why
+    monkeypatch.setattr(in_child, "leave_with_parent", lambda: None)
+    monkeypatch.setattr(in_child, "PROGRAM", "no_such_program")
+    code = in_child.main([])
+    assert "ModuleNotFoundError" in capsys.readouterr().err
+    assert judged(Ended(code, 0.1, (), ()))[0] is State.ACCIDENT
+
+
+def left_by(folder: Path, order: Order, finished: bool = False) -> Path:
+    """A part folder as a killed worker leaves it: no clean-up has run."""
+    with part_folder(folder, order.name, Marker(order.run, "other:1", ())) as (part, _):
+        (part / "cache").mkdir()
+        (part / "cache" / "closeup.npz").write_bytes(b"seen")
+        (part / "w.checkpoint").write_bytes(b"trained")
+        (part / "x.wav").write_text("found" if finished else "half")
+        if finished:
+            write_record(part, record_of(order, part))
+        kept = folder / "kept"
+        os.rename(part, kept)
+    os.rename(kept, part)
+    return part
+
+
+def record_of(order: Order, part: Path) -> Record:
+    return Record(
+        order.name, order.words, order.key, order.version, order.inputs, {}, outputs_in(part), 0, 1.0, 1, "w", (), ()
+    )
+
+
+def test_a_lost_worker_is_counted_and_what_it_had_is_begun_with(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    order = order_for(folder, "a", ["synth"])
+    left_by(folder, order)
+    ran = fake(monkeypatch, 0)
+    outcome = run(order)
+    assert outcome.state is State.DONE
+    assert outcome.earlier == ("its worker other:1 was lost",)
+    assert len(ran) == 1
+    assert (folder / "a" / "cache" / "closeup.npz").read_bytes() == b"seen"
+    assert (folder / "a" / "w.checkpoint").read_bytes() == b"trained"
+    assert (folder / "a" / "x.wav").read_text() == "x"
+    assert half_written(folder) == []
+
+
+def test_lost_workers_are_not_asked_for_ever(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    order = order_for(folder, "a", ["synth"], retries=0)
+    left_by(folder, order)
+    ran = fake(monkeypatch, 0)
+    outcome = run(order)
+    assert (outcome.state, outcome.why) == (State.ACCIDENT, "its worker other:1 was lost")
+    assert not order.is_tried_again(outcome)
+    assert ran == []
+    again = order_for(folder, "a", ["synth"], run="the next batch", retries=0)
+    assert run(again).state is State.DONE  # another batch's losses are not counted
+
+
+def test_a_result_that_was_not_renamed_any_more_is_not_made_again(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    order = order_for(folder, "a", ["synth"])
+    left_by(folder, order, finished=True)
+    ran = fake(monkeypatch, 0)
+    outcome = run(order)
+    assert (outcome.state, outcome.was_fresh) == (State.DONE, True)
+    assert (folder / "a" / "x.wav").read_text() == "found"
+    assert ran == []
+    assert half_written(folder) == []
+
+
+def test_a_stopped_attempt_leaves_nothing_half_written(tmp_path: Path, folder: Path) -> None:
+    action = pipe(tmp_path / "a.pipe")
+    order = order_for(folder, "a", synth(action))
+    outcomes: list[Outcome] = []
+    thread = threading.Thread(target=lambda: outcomes.append(attempt_order(order)))
+    thread.start()
+    until(at_work(folder, "a"), "the attempt")
+    until(lambda: processes_with(str(action)), "its command")
+    (folder / RUN_NAME).write_text("")
+    thread.join(20)
+    assert [outcome.state for outcome in outcomes] == [State.STOPPED]
+    assert processes_with(str(action)) == []
+    assert sorted(path.name for path in folder.iterdir()) == [RUN_NAME]
+
+
+def test_a_command_ends_with_its_worker(tmp_path: Path, folder: Path) -> None:
+    """A worker that is killed can clean up nothing."""
+    action = pipe(tmp_path / "a.pipe")
+    order = order_for(folder, "a", synth(action))
+    worker = os.fork()
+    if worker == 0:
+        try:
+            attempt(encode(order))
+        finally:
+            os._exit(0)
+    marker = until(at_work(folder, "a"), "the attempt")
+    assert marker.worker.endswith(f":{worker}")
+    until(lambda: processes_with(str(action)), "its command")
+    (part,) = half_written(folder)
+    assert not is_dead(part, 0.0)
+    os.kill(worker, signal.SIGKILL)
+    os.waitpid(worker, 0)
+    until(lambda: not processes_with(str(action)), "the end of the command")
+    assert is_dead(part, 0.0)
+    assert sweep(folder) == []
+    assert half_written(folder) == []
+
+
+def test_a_worker_says_what_it_cannot_see(folder: Path, tmp_path: Path) -> None:
+    action = table(tmp_path / "a.csv")
+    order = order_for(folder, "a", synth(action), action)
+    assert complaint(str(folder), "r", version(), [str(action)]) == ""
+    assert "absent" in complaint(str(folder), "r", version(), [str(tmp_path / "absent")])
+    assert "shared file system" in complaint(str(tmp_path / "elsewhere"), "r", version(), [])
+    assert "same version" in complaint(str(folder), "r", "0.0", [])
+    action.unlink()
+    outcome = run(order)
+    assert outcome.state is State.UNSEEN
+    assert str(action) in outcome.why
+    assert run(replace(order, run="an older batch")).state is State.STOPPED
+    assert not order.is_tried_again(outcome)
+
+
+def test_only_what_a_batch_made_is_replaced(folder: Path) -> None:
+    order = order_for(folder, "a", ["synth"])
+    order.place.mkdir()
+    (order.place / "mine").touch()
+    with part_folder(folder, "a", Marker("r", "w", ())) as (part, _), pytest.raises(FileError, match="not made by"):
+        publish(part, order.place)
+    with pytest.raises(FileError, match="not made by"):
+        make_plan([Job("a", ("synth",), "x.wav")], {"a": ()}, folder, folder, "r", 2)
+    assert (order.place / "mine").exists()
+    with part_folder(folder, "b", Marker("r", "w", ())) as (part, _):
+        (part / ".attempt").unlink()  # another attempt has taken over
+        with pytest.raises(FileError):
+            publish(part, folder / "b")
+    assert not (folder / "b").exists()
+
+
+def test_files_that_a_scene_refers_to_are_inputs_too(folder: Path, tmp_path: Path) -> None:
+    picture = tmp_path / "wood.png"
+    picture.write_bytes(b"1")
+    os.utime(picture, (1e9, 1e9))
+    order = order_for(folder, "a", ["touch", "cup.blend"])
+    order.place.mkdir()
+    (order.place / "report.json").write_text(json.dumps({"files": [str(picture), str(tmp_path / "absent"), 3]}))
+    found = found_by(order.place, since=2e9)
+    assert list(found) == [str(picture)]
+    record = replace(record_of(order, order.place), found=found)
+    write_record(order.place, record)
+    assert read_record(order.place) == record
+    assert holds(record, order.key, order.place)
+    picture.write_bytes(b"2")
+    assert not holds(record, order.key, order.place)
+    assert found_by(order.place, since=1e9) == {str(picture): ""}  # it changed while it was read: never fresh
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"schema": "hnf-batch-1"}', '{"schema": 2}', "\0", "[" * 10_000])
+def test_a_damaged_record_is_none(text: str, tmp_path: Path) -> None:
+    (tmp_path / "batch.json").write_text(text)
+    assert read_record(tmp_path) is None
+
+
+def test_what_is_begun_with_is_not_written_into(tmp_path: Path) -> None:
+    source, part = tmp_path / "a", tmp_path / "b"
+    for each in (source / "cache", part):
+        each.mkdir(parents=True)
+    (source / "cache" / "c.npz").write_bytes(b"1")
+    (source / "x.wav").write_bytes(b"2")
+    begin_with(source, part)
+    begin_with(source, part)
+    assert [path.relative_to(part).as_posix() for path in part.rglob("*") if path.is_file()] == ["cache/c.npz"]
+
+
+def test_the_childs_program_is_the_hnf_command() -> None:
+    assert (child.ROOT / in_child.PROGRAM.replace(".", "/")).with_suffix(".py").is_file()

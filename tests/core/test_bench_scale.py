@@ -1,0 +1,79 @@
+"""`hnf bench scale` of what needs no Blender: counted work, and sizes that are too large are said to be. No time."""
+
+from __future__ import annotations
+
+import pytest
+
+from hnf_core.bench import growth, scale
+from hnf_core.bench.catalogue import BENCHES
+from hnf_core.bench.frame import Options
+from hnf_core.bench.growth import Cost, Line, grown
+from hnf_core.bench.memory import available_mb, with_peak
+
+QUICK = Options(repeats=1, quick=True)
+
+
+def line(measure, sizes=(1, 10, 100, 1000), most_s=5.0, prepare=lambda count: None) -> Line:
+    return Line("things", "one kind", sizes, measure, most_s, prepare)
+
+
+def test_a_size_that_would_take_too_long_is_not_begun_and_says_so():
+    begun = []
+
+    def measure(count: int) -> Cost:
+        begun.append(count)
+        return Cost(0.01 * count, 0.01 * count, {"renders": count})
+
+    rows = grown("scale", line(measure), QUICK)
+    assert begun == [1, 10, 100]
+    assert [row.size.count for row in rows] == [1, 10, 100, 1000]
+    assert [row.seconds is None for row in rows] == [False, False, False, True]
+    assert "about 10 s" in rows[-1].note
+    assert rows[1].work == {"renders": 10}
+
+
+def test_a_size_that_would_not_fit_into_memory_says_so(monkeypatch):
+    peaks = iter([100.0, 1000.0])
+    monkeypatch.setattr(growth, "with_peak", lambda function: (function(), next(peaks)))
+    monkeypatch.setattr(growth, "available_mb", lambda: 8000.0)
+    rows = grown("scale", line(lambda count: Cost(1e-3, 1e-3, {}), sizes=(1, 10, 100)), QUICK)
+    assert [row.peak_mb for row in rows] == [100.0, 1000.0, None]
+    assert "about 10.0 GB, and 8.0 GB are free" in rows[-1].note
+
+
+def test_every_measurement_is_prepared_and_repeated():
+    prepared, measured = [], []
+
+    def measure(count: int) -> Cost:
+        measured.append(count)
+        return Cost(1e-3, 1e-3, {})
+
+    (row,) = grown("scale", line(measure, (5,), prepare=prepared.append), Options(repeats=3))
+    assert prepared == measured == [5, 5, 5]
+    assert row.seconds.count == row.cpu.count == 3
+
+
+def test_the_peak_is_what_was_held_at_once():
+    free = available_mb()
+    held, peak = with_peak(lambda: len(bytearray(b"x") * 50_000_000))
+    assert held == 50_000_000
+    if free is None or peak is None:
+        pytest.skip("this system does not tell what a process holds")
+    assert free > 0.0
+    assert 40.0 < peak < 200.0
+
+
+def test_signals_of_any_length_count_their_samples_and_states():
+    (bench,) = (bench for bench in BENCHES if bench.name == "scale")
+    rows = bench.rows(QUICK)
+    assert {row.size.line for row in rows} == {"in one piece", "in portions", "in portions, 10 s in contact"}
+    for row in rows:
+        assert row.work["samples"] == 10_000 * row.size.count
+        assert row.work["F_Θ states"] > 0
+    assert sum(row.exponent is not None for row in rows) == 3
+
+
+def test_contact_that_ends_makes_a_stroke_silent_after_it():
+    stroke = scale.scrape(3.0, touching_s=1.0)
+    assert stroke.action.contact.sum() == 201
+    assert (stroke.action.force[~stroke.action.contact] == 0.0).all()

@@ -1,0 +1,95 @@
+"""Nothing is done that a stroke does not need: samples, states and carriers are counted, no time is.
+
+What is imported is counted in test_startup.py, what a changed force key costs in test_incremental.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hnf_core.action.action import ACTION_RATE_HZ
+from hnf_core.bench.scale import counted_states, scrape
+from hnf_core.field import synthesis
+from hnf_core.field.adaptive import FINEST
+from hnf_core.field.carriers import MODEL_RATE_HZ
+from hnf_core.field.long_stroke import portions
+from hnf_core.field.stroke import HeightProfile
+from hnf_core.field.synthesis import AFTER_CONTACT_S, BLOCK
+from hnf_core.field.timeline import SAMPLES_PER_STATE
+from hnf_core.field.weights import load_field
+
+SEED = 3
+SECONDS = 8
+
+
+@pytest.fixture
+def rendered(monkeypatch):
+    """First samples and lengths of what the carriers were summed for."""
+    spans = []
+    texture = synthesis.texture_term
+
+    def counted(prepared, start, count):
+        spans.append((start, count))
+        return texture(prepared, start, count)
+
+    monkeypatch.setattr(synthesis, "texture_term", counted)
+    return spans
+
+
+@pytest.mark.parametrize("touching_s", [0.5, 2.0, 5.0])
+def test_no_carrier_is_summed_far_from_contact(rendered, touching_s):
+    made = synthesis.synthesise(load_field(), scrape(SECONDS, touching_s), seed=SEED)
+    heard_until = (touching_s + AFTER_CONTACT_S) * MODEL_RATE_HZ + SAMPLES_PER_STATE
+    assert sum(count for _, count in rendered) <= heard_until + BLOCK
+    assert all(start < heard_until for start, _ in rendered)
+    assert len(made.signal.samples) == SECONDS * MODEL_RATE_HZ
+    assert (made.signal.samples[int(heard_until) + 1 :] == 0.0).all()
+    assert np.abs(made.signal.samples[: int(touching_s * MODEL_RATE_HZ)]).max() > 0.0
+
+
+def test_a_hand_that_never_touches_costs_no_sample(rendered):
+    (made,) = (portion.samples for portion in portions(load_field(), scrape(SECONDS, -1.0), seed=SEED))
+    assert rendered == []
+    assert (made == 0.0).all()
+
+
+def test_a_state_is_evaluated_once_and_those_before_a_portion_again():
+    field, stroke = load_field(), scrape(SECONDS)
+    with counted_states() as states:
+        synthesis.prepare(field, stroke, seed=SEED)
+    count = len(stroke.action.speed)
+    groups = -(-count // synthesis.STATES_AT_ONCE)
+    assert len(states) == groups
+    assert sum(states) == count + (groups - 1) * synthesis.memory(field)
+
+
+@pytest.mark.parametrize("tolerance", [None, 0.01])
+@pytest.mark.parametrize("touching_s", [-1.0, 0.5, 2.0])
+def test_no_state_is_evaluated_far_from_contact(tolerance, touching_s):
+    """But for the portion in which the hand lifts, and nothing changes for what is felt."""
+    field, stroke = load_field(), scrape(SECONDS, touching_s)
+    with counted_states() as states:
+        prepared = synthesis.prepare(field, stroke, seed=SEED, tolerance=tolerance)
+    heard = max(touching_s, 0.0) * ACTION_RATE_HZ
+    if tolerance is None:
+        assert sum(states) <= heard + 2 * synthesis.STATES_AT_ONCE + len(states) * synthesis.memory(field)
+    else:
+        assert sum(states) <= (heard + 2 * synthesis.memory(field)) * SAMPLES_PER_STATE / FINEST / 4
+    assert (sum(states) > 0) == (touching_s > 0.0)
+    assert prepared.amplitude.any() == (touching_s > 0.0)
+
+
+@pytest.mark.parametrize("profile", [False, True])
+def test_what_is_left_out_in_the_air_would_have_been_nothing(monkeypatch, profile):
+    field, stroke = load_field(), scrape(SECONDS, 1.0)
+    if profile:
+        stroke = replace(stroke, profile=HeightProfile(1e-4, -1e-3, 1e-6 * np.sin(np.arange(9000) / 3.0), 4e-4))
+    short = synthesis.synthesise(field, stroke, seed=SEED).signal.samples
+    monkeypatch.setattr(synthesis, "in_the_air", lambda condition, states: False)
+    with counted_states() as evaluated:
+        whole = synthesis.synthesise(field, stroke, seed=SEED).signal.samples
+    assert sum(evaluated) >= len(stroke.action.speed)
+    assert short.tobytes() == whole.tobytes()

@@ -1,0 +1,81 @@
+"""What commands load, and the bench that says what they cost. No time is asserted."""
+
+import json
+import os
+import shlex
+
+import pytest
+
+from hnf_core.bench.frame import Options
+from hnf_core.bench.process import HEAVY, run_alone
+from hnf_core.bench.startup import HNF, action_table, rows
+from hnf_core.cli.main import build_parser
+from hnf_core.cli.verbs import HELP, MODULES
+from hnf_core.errors import HnfError
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "wait4"), reason="no system call that tells what a process took")
+
+
+@pytest.mark.parametrize("words", ["--help", "--version"])
+def test_telling_what_there_is_loads_no_numpy(words):
+    run = run_alone(HNF, words)
+    assert run.heavy == ()
+    assert [name for name in run.modules if name.startswith("hnf_core.") and not is_word(name)] == []
+    assert run.said.startswith(("usage: hnf", "hnf "))
+
+
+def is_word(module: str) -> bool:
+    return module == "hnf_core.errors" or module in {"hnf_core.cli", "hnf_core.cli.main", "hnf_core.cli.verbs"}
+
+
+@pytest.mark.parametrize("words", ["materials --json", "synth --help", "train --help", "stream --help"])
+def test_a_verb_loads_nothing_heavy_but_numpy(words):
+    assert set(run_alone(HNF, *shlex.split(words)).heavy) <= {"numpy"}
+
+
+def test_the_whole_command_line_is_what_its_verbs_say():
+    """Asked for one verb, the parser knows the others by what they are for alone."""
+    whole = build_parser(lambda _: 0).format_help()
+    for only in ("", *MODULES):
+        assert build_parser(lambda _: 0, only=only).format_help() == whole
+    assert MODULES.keys() == HELP.keys()
+
+
+def test_a_command_is_measured_after_import_numpy():
+    base, *found = rows(Options(repeats=1, quick=True))
+    assert (base.method, base.ratio) == ("import numpy", None)
+    assert [row.method for row in found] == [
+        "hnf --help",
+        "hnf --version",
+        "hnf materials --json",
+        "hnf synth, 0.5 s, oak-wood",
+        "hnf synth, 0.5 s, own .hnf",
+    ]
+    for row in found:
+        assert row.ratio_to == base.method
+        assert row.seconds.count == row.cpu.count == 1
+        assert row.peak_mb > 1.0
+    assert "none of the heavy ones" in found[0].note
+    assert [name for name in HEAVY if name in found[-1].note.rpartition(";")[2]] == ["numpy"]
+
+
+def test_a_process_that_fails_says_why():
+    with pytest.raises(HnfError, match="code 3:\nbecause"):
+        run_alone("print('because'); sys.exit(3)")
+
+
+def test_a_process_tells_its_own_memory_and_not_its_parents():
+    held = bytearray(300_000_000)
+    run = run_alone("block = bytearray(60_000_000); print(json.dumps(sys.argv[1:]))", "a", "b c")
+    assert 60.0 < run.peak_mb < 200.0 < len(held) / 1e6
+    assert json.loads(run.said) == ["a", "b c"]
+
+
+def test_a_hand_moves_all_the_time(tmp_path):
+    from hnf_core.action.table import read_action_csv
+
+    table = tmp_path / "action.csv"
+    table.write_text(action_table(10.0))
+    action = read_action_csv(table, "pen")
+    assert action.duration_s == pytest.approx(10.0, abs=0.01)
+    assert action.speed.min() > 0.0
