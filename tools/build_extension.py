@@ -30,10 +30,10 @@ STAGING = ROOT / "build" / "extension"
 LEFT_OUT = frozenset(f"hnf_core/data/{name}.safetensors" for name in ("field-held-out", "field-encoders", "encoder"))
 """Weights that only `hnf eval` asks, which needs torch and stays outside Blender; and E's network, whose tokens the
 shipped field refuses."""
-MEASURING = "bench"
-"""Folders of `hnf bench`, which runs from the source."""
+FROM_SOURCE = ("bench", "batch")
+"""Folders of `hnf bench` and `hnf batch`, which run from the source."""
 SKIPPED = shutil.ignore_patterns(
-    "__pycache__", "*.pyc", ".*", "*.blend1", MEASURING, *(Path(name).name for name in LEFT_OUT)
+    "__pycache__", "*.pyc", ".*", "*.blend1", *FROM_SOURCE, *(Path(name).name for name in LEFT_OUT)
 )
 TAGLINE_LIMIT = 64
 

@@ -18,6 +18,7 @@ import mpmath as mp
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from precision_tables import HEAD, agreement_rows
 
 from hnf_core.action.smooth import steady_action, wandering_action
 from hnf_core.field.field import Field
@@ -354,6 +355,7 @@ def main(arguments: Sequence[str]) -> int:
         ("output rate", "largest difference below 1 kHz (or 0.45 of the rate)"),
         ((f"{rate:g} Hz", f"{worst:.0e} dB") for rate, worst in rate_errors(field, wandering_stroke(8.0))),
     )
+    table(HEAD, agreement_rows(field))
     if options.minutes:
         table(("streaming", "figure"), stream_figures(field, options.minutes))
     return 0

@@ -53,20 +53,23 @@ def without(folder: str, *names: str) -> tuple[str, ...]:
     return (folder, *(f"--ignore-glob=*/{name}.py" for name in names))
 
 
-# Two minutes each; the oldest and the newest Blender agree on them.
-ONCE_IS_ENOUGH = ("test_real_scenes",)
+# Other processes and counted work: nothing that another Blender could change.
+SAME_ON_EVERY_BLENDER = ("test_batch_touch", "test_bench_scale")
+# Long ones; the oldest and the newest Blender agree on them.
+ONCE_IS_ENOUGH = ("test_real_scenes", "test_lazy", "test_bench_views", *SAME_ON_EVERY_BLENDER)
 # Real time, other processes, compilers and words: nothing that another numpy could change.
 SAME_ON_EVERY_NUMPY = (
     "test_faults*", "test_audio_sink", "test_player", "test_serial_s*", "test_osc_sink", "test_firmware_*",
-    "test_stream_cli", "test_measure_sound", "test_make_tools", "test_tree", "test_docs",
+    "test_stream_cli", "test_measure_sound", "test_make_tools", "test_tree", "test_docs", "test_batch_*",
+    "test_bench_*", "test_startup", "test_lazy", "test_near",
 )  # fmt: skip
 
 # The longest first, so that two workers end at about the same time.
 CHECKS = (
     Check("blender-5.0", ".venv", ("tests/blender",), 1200),
-    Check("blender-4.2", ".venv-4.2", ("tests/blender",), 1200, can_end=False),
+    Check("blender-4.2", ".venv-4.2", without("tests/blender", *SAME_ON_EVERY_BLENDER), 1200, can_end=False),
     Check("blender-4.5", ".venv-4.5", without("tests/blender", *ONCE_IS_ENOUGH), 1200, can_end=False),
-    Check("core", ".venv", ("tests/core",), 900),
+    Check("core", ".venv", ("tests/core",), 1100),
     Check("core-numpy-1.24", ".venv-4.2", without("tests/core", *SAME_ON_EVERY_NUMPY), 900),
     Check("types", ".venv", ("-m", "mypy"), 600, is_pytest=False),
     Check("lint", ".venv", ("-m", "ruff", "check", "."), 120, is_pytest=False),

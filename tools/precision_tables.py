@@ -1,0 +1,175 @@
+"""How many digits each stage needs: the same numbers kept, or computed with, in narrower types against float64.
+
+Rows for tools/check_numerics.py. Nothing of the product is changed for it: what goes into a stage is rounded to the
+type and back, and F_Θ's layers are computed in the type by their torch twin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from hnf_core.action.smooth import wandering_action
+from hnf_core.field.features import Inputs, build_inputs
+from hnf_core.field.field import LOG_AMPLITUDE_CEILING, Emission, Field, accumulate
+from hnf_core.field.linear_contact import Condition
+from hnf_core.field.lines import GAINS, line_power
+from hnf_core.field.stroke import StrokeInput, uniform_stroke
+from hnf_core.field.synthesis import prepare, render_block
+from hnf_core.field.timeline import condition_of, states_of
+from hnf_core.material.contact import height_response
+from hnf_core.material.encoder import describe
+from hnf_core.material.library import load_library
+from hnf_core.material.mechanics import PROBES, Mechanics
+from hnf_core.material.token import LEVELS
+from hnf_core.scene.mesh import TriangleMesh
+from hnf_core.scene.raycast import ReferenceGeometry
+from hnf_core.tactile.height import tactile_map_from_height
+from hnf_core.training.model import FieldNetwork
+
+Float = NDArray[np.float64]
+
+TYPES = (torch.float16, torch.bfloat16, torch.float32)
+HEAD = ("stage", "kept or computed in the type", *(str(each).removeprefix("torch.") for each in TYPES))
+
+
+def rounded(values: Float, dtype: torch.dtype) -> Float:
+    """Values rounded to the type once; still float64."""
+    return torch.tensor(np.asarray(values), dtype=torch.float64).to(dtype).double().numpy()
+
+
+def decibels(found: Float, exact: Float) -> float:
+    """Power of the difference over that of exact."""
+    with np.errstate(divide="ignore"):
+        return float(10.0 * np.log10(np.sum(np.square(found - exact)) / np.sum(np.square(exact))))
+
+
+def agreement_rows(field: Field) -> Iterator[tuple[str, ...]]:
+    """One row a stage, cells as in HEAD."""
+    stroke = example_stroke()
+    yield "ray cast", "vertices, origins, directions; 1 m", *(ray_error(dtype) for dtype in TYPES)
+    yield "E", "the sensor image", *(token_error(dtype) for dtype in TYPES)
+    yield "linear contact", "stiffness, damping, force, frequency", *(contact_error(dtype) for dtype in TYPES)
+    exact = emission_in(field, stroke, torch.float64)
+    whole = heard(field, stroke, exact)
+    found = [emission_in(field, stroke, dtype) for dtype in TYPES]
+    yield "F_Θ", "layers and heads computed", *(f"{decibels(each.alpha, exact.alpha):.0f} dB" for each in found)
+    played = [heard(field, stroke, each) for each in found]
+    yield "synthesis, end to end", "layers and heads computed", *(f"{decibels(each, whole):.0f} dB" for each in played)
+    coarse = [replace(stroke, tokens=rounded(stroke.tokens, dtype).astype(np.float32)) for dtype in TYPES]
+    played = [heard(field, each, emission_in(field, each, torch.float64)) for each in coarse]
+    off = [decibels(each, whole) for each in played]
+    yield "synthesis, end to end", "the token", *(f"{x:.0f} dB" if x > -np.inf else "what it is" for x in off)
+
+
+def example_stroke(seconds: float = 2.0) -> StrokeInput:
+    """A wandering stroke on the library's first material."""
+    entry = load_library()[0]
+    action = wandering_action(seconds, 0, speed_m_s=(0.03, 0.3), force_n=(0.3, 2.0))
+    return uniform_stroke(action, entry.token, entry.mechanics)
+
+
+def emission_in(field: Field, stroke: StrokeInput, dtype: torch.dtype) -> Emission:
+    """F_Θ at every state of a stroke, its layers and heads in the type, the rest in float64."""
+    config, condition = field.config, condition_of(stroke, *states_of(stroke))
+    inputs = inputs_of(field, condition)
+    network = FieldNetwork(config, field.parameters).to(dtype)
+    with torch.no_grad():
+        head, sigma_dt = network.heads(torch.tensor(inputs.x).to(dtype))
+    return Emission(amplitudes_of(field, head.double().numpy(), inputs), sigma_dt.double().numpy())
+
+
+def amplitudes_of(field: Field, alpha: Float, inputs: Inputs) -> Float:
+    """(n, heads, K) of the α head (n, heads, outputs), in float64 as field.evaluate has it."""
+    config, gains = field.config, None
+    if config.line_gains:
+        alpha, gains = alpha[..., :-GAINS], alpha[:, 0, -GAINS:]
+    prior, tones = np.split(inputs.prior, [config.carriers.count], axis=1)
+    expansion, first = config.expansion(), config.carriers.arc_slice.start
+    if expansion is not None:
+        alpha = np.concatenate([alpha[..., :first], alpha[..., first:] @ expansion.T], axis=-1)
+    if config.physics:
+        alpha = alpha + (field.parameters["skip"] * prior)[:, None, :]
+    if config.emission == "log":
+        alpha = np.exp(np.minimum(alpha, LOG_AMPLITUDE_CEILING))
+    if gains is not None:
+        ringing = line_power(gains, tones, config.carriers.arc_count, LOG_AMPLITUDE_CEILING)
+        arcs = config.carriers.arc_slice
+        alpha[:, 0, arcs] = np.sqrt(np.square(alpha[:, 0, arcs]) + ringing)
+    return alpha * inputs.gate[:, None, :]
+
+
+def inputs_of(field: Field, condition: Condition) -> Inputs:
+    config = field.config
+    return build_inputs(
+        condition, config.carriers, config.physics, config.action_octaves, config.directed, config.line_gains,
+        config.stroke_frame,
+    )  # fmt: skip
+
+
+def heard(field: Field, stroke: StrokeInput, emission: Emission) -> Float:
+    """The signal (n,) of a stroke whose field emits this."""
+    prepared = prepare(field, stroke, seed=1)
+    prepared = replace(prepared, amplitude=accumulate(field.config, emission))
+    return render_block(prepared, 0, prepared.count)
+
+
+def ray_error(dtype: torch.dtype) -> str:
+    """On a bumpy plate of 1 m: largest difference in distance, and rays that meet another triangle."""
+    side = np.linspace(-0.5, 0.5, 25)
+    x, y = np.meshgrid(side, side)
+    vertices = np.stack([x, y, 0.05 * np.sin(9.0 * x) * np.cos(7.0 * y)], axis=-1).reshape(-1, 3)
+    index = np.arange(len(vertices)).reshape(x.shape)
+    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
+    triangles = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32)
+    places = np.random.default_rng(0).uniform(-0.4, 0.4, (400, 2))
+    origins = np.concatenate([places, np.ones((400, 1))], axis=1)
+    directions = np.tile([0.02, 0.01, -1.0], (400, 1))
+
+    def cast(*arrays: Float):
+        number = np.arange(len(triangles), dtype=np.int32)
+        mesh = TriangleMesh(arrays[0], triangles, number, 0 * number, np.zeros((len(triangles), 3, 3)))
+        return ReferenceGeometry(mesh).cast(*arrays[1:])
+
+    exact, found = (
+        cast(vertices, origins, directions),
+        cast(*(rounded(x, dtype) for x in (vertices, origins, directions))),
+    )
+    off = np.abs(found.distance - exact.distance).max()
+    return f"{off:.0e} m; {np.mean(found.triangle != exact.triangle):.1%} elsewhere"
+
+
+def token_error(dtype: torch.dtype) -> str:
+    """Of a rough relief: largest difference of a band's level."""
+    relief = 1e-5 * np.cumsum(np.random.default_rng(0).standard_normal((128, 128)), axis=1) / 8.0
+    pitch = 20e-3 / 128
+    plain = tactile_map_from_height(relief, None, pitch, 2.0 * pitch)
+    exact = describe(plain)
+    found = describe(replace(plain, image=rounded(plain.image, dtype).astype(np.float32)))
+    known = exact.known[LEVELS]
+    off = 20.0 * np.abs(found.values[LEVELS] - exact.values[LEVELS])[known].max()
+    return "what it is" if off == 0.0 else f"{off:.0e} dB in a band"
+
+
+def contact_error(dtype: torch.dtype) -> str:
+    """|H| of height over stiffness, force and frequency, over the largest |H| at that stiffness and force."""
+    stiffness, force = np.geomspace(1e3, 1e6, 7), np.geomspace(0.05, 20.0, 7)
+    frequency = np.geomspace(20.0, 1000.0, 60)
+    worst = 0.0
+    for value in stiffness:
+        exact, found = (
+            height_response(f[:, None], Mechanics(k, z, 0.3), PROBES["pen"], n[None])
+            for f, k, z, n in (
+                (frequency, value, 0.15, force),
+                (
+                    rounded(frequency, dtype), float(rounded(np.array(value), dtype)),
+                    float(rounded(np.array(0.15), dtype)), rounded(force, dtype),
+                ),
+            )
+        )  # fmt: skip
+        worst = max(worst, float((np.abs(found - exact) / np.abs(exact).max(axis=0)).max()))
+    return "∞: 1e6 N/m is none" if not np.isfinite(worst) else f"{worst:.0e} of its peak"
