@@ -10,9 +10,9 @@ from typing import Any
 from urllib.parse import unquote
 
 from hnf_core.errors import FileError, SceneError
+from hnf_core.scene.ply_header import read_ply_header
 
 from .. import compat
-from .ply_header import read_ply_header
 from .quiet import quiet
 
 SUFFIXES = (".blend", ".gltf", ".glb", ".obj", ".ply", ".usd", ".usda", ".usdc", ".usdz", ".fbx")

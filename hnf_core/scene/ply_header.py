@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from hnf_core.errors import FileError
+from ..errors import FileError
 
 LONGEST_HEADER = 1 << 16
 
