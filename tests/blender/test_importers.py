@@ -16,10 +16,10 @@ from builders import add_plane, add_sphere, float_image
 
 from hnf_blender.bridge.images import missing_image
 from hnf_blender.bridge.importers import metres_per_unit, open_scene, size_warning
-from hnf_blender.bridge.ply_header import read_ply_header
 from hnf_blender.bridge.quiet import quiet
 from hnf_blender.bridge.shader_colour import Shows, shows
 from hnf_core.errors import FileError, HnfError, SceneError
+from hnf_core.scene.ply_header import read_ply_header
 
 REPOSITORY = Path(__file__).parents[2]
 SCENES = REPOSITORY.parent / "shared" / "data" / "scenes"
