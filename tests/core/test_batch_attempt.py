@@ -241,7 +241,7 @@ def test_a_command_ends_with_its_worker(tmp_path: Path, folder: Path) -> None:
     os.kill(worker, signal.SIGKILL)
     os.waitpid(worker, 0)
     until(lambda: not processes_with(str(action)), "the end of the command")
-    assert is_dead(part, 0.0)
+    until(lambda: is_dead(part, 0.0), "the end of its lock: a dying process has no command line before its files close")
     assert sweep(folder) == []
     assert half_written(folder) == []
 

@@ -18,6 +18,8 @@ from hnf_core.errors import DeviceError, UsageError
 ATTEMPTS = 4
 CALM_S = 0.12
 """Owed at most: nobody waits for a sweep, and a busy machine is late."""
+UNBROKEN = 0.9995
+"""A wire's coherence is 1; where the server of a busy machine leaves out 1 ms of it, at most 0.998."""
 
 
 @pytest.mark.skipif(why_not() != "", reason=why_not())
@@ -28,13 +30,15 @@ def test_a_wire_has_a_flat_response_and_its_delay(tmp_path: Path) -> None:
             try:
                 # Full scale of the input is 20 m/s² where full scale of the output is 10: a gain of two.
                 asked, got = measure(AudioSink(queue_s=CALM_S), Accelerometer(None, 20.0), excitation, limits)
-                break
             except (UsageError, DeviceError):  # the machine was late, and it said so
                 if attempt == ATTEMPTS - 1:
                     raise
-    found = estimate(asked.samples, got.samples, asked.sample_rate, 20.0, 900.0)
+                continue
+            found = estimate(asked.samples, got.samples, asked.sample_rate, 20.0, 900.0)
+            if found.coherence.min() > UNBROKEN:
+                break
+    assert found.coherence.min() > UNBROKEN
     np.testing.assert_allclose(found.gain_db, 20.0 * np.log10(2.0), atol=0.1)
-    assert found.coherence.min() > 0.99
     assert 0.0 < found.delay_s < 2.0
 
 
