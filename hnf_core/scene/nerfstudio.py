@@ -1,0 +1,220 @@
+"""nerfstudio's transforms.json: the cameras that a reconstruction was made from.
+
+Its cameras look along −z with +y up (OpenGL, Blender); pixel centres lie at +0.5, as here. A trained model, and what is
+exported from it, lives in a frame of its own: dataparser_transforms.json says x_model = scale · (T x_original), and
+applied_transform and applied_scale of transforms.json say x_poses = applied_scale · (A x_original)
+(https://docs.nerf.studio/quickstart/data_conventions.html; nerfstudio_dataparser.py).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import FileError
+from ..files import write_text
+from .camera import Camera
+
+Float = NDArray[np.float64]
+
+FILE_NAME = "transforms.json"
+MODEL_FRAME = "dataparser_transforms.json"
+PINHOLES = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
+DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
+LENSES = ("fl_x", "fl_y", "cx", "cy", "w", "h")
+TURN = np.diag([1.0, -1.0, -1.0, 1.0])
+"""OpenGL's camera axes (+y up, −z forward) ↔ ours (+y down, +z forward)."""
+RIGID = 1e-3
+"""How far R Rᵀ may be from 1: matrices are kept in float32, or typed."""
+LARGEST_PIXELS = 1 << 16
+
+
+@dataclass(frozen=True)
+class NerfstudioFrame:
+    """One picture. file_path, depth_file_path: below the file's folder, with '/'; "" = no depth. camera: in the frame
+    and unit of the poses or, by read_export, of the model."""
+
+    file_path: str
+    camera: Camera
+    depth_file_path: str = ""
+
+    @property
+    def name(self) -> str:
+        """The picture's name, for its camera."""
+        return PurePosixPath(self.file_path).stem
+
+
+def read_transforms(path: Path) -> tuple[NerfstudioFrame, ...]:
+    """The frames in file order, in the frame of the poses.
+
+    Raises FileError where the file is damaged, a key is missing or no number, a lens is not a plain pinhole, a matrix
+    is not rigid, or a path leaves the file's folder.
+    """
+    document = _document(path)
+    entries = document.get("frames")
+    if not isinstance(entries, list) or not entries:
+        raise _wrong(path, "it has no 'frames'", "Give the transforms.json of the pictures, not of the model.")
+    return tuple(_frame(path, document, entry, index) for index, entry in enumerate(entries))
+
+
+def read_export(path: Path) -> tuple[NerfstudioFrame, ...]:
+    """read_transforms, in the frame of what was exported from the model: moved where MODEL_FRAME stands beside it.
+
+    Raises FileError likewise, and where either transform cannot be undone.
+    """
+    frames = read_transforms(path)
+    beside = path.with_name(MODEL_FRAME)
+    if not beside.is_file():
+        return frames
+    document, model = _document(path), _document(beside)
+    turn = np.eye(4)
+    if "applied_transform" in document:
+        turn = _rigid(path, document["applied_transform"], "applied_transform")
+    applied = _number(path, document, "applied_scale", "") if "applied_scale" in document else 1.0
+    to_model = _rigid(beside, model.get("transform"), "transform")
+    scale = _number(beside, model, "scale", "")
+    if not applied > 0.0 or not scale > 0.0:
+        raise _wrong(path, "a scale is not positive", "Export it again.")
+    return tuple(replace(frame, camera=_moved(frame.camera, turn, applied, to_model, scale)) for frame in frames)
+
+
+def write_transforms(path: Path, frames: Sequence[NerfstudioFrame], **more: Any) -> None:
+    """What read_transforms reads, lenses written once where all frames share them. more: further keys, JSON values.
+
+    Raises FileError where a camera is not perspective or a path leaves the folder.
+    """
+    lenses = [_lens(path, frame.camera) for frame in frames]
+    shared = all(lens == lenses[0] for lens in lenses)
+    document: dict[str, Any] = {"camera_model": "OPENCV", **(lenses[0] if shared and lenses else {}), **more}
+    document["frames"] = [
+        {
+            "file_path": _inside(path, frame.file_path, "file_path"),
+            **({"depth_file_path": _inside(path, frame.depth_file_path, "depth")} if frame.depth_file_path else {}),
+            **({} if shared else lens),
+            "transform_matrix": (frame.camera.pose @ TURN).tolist(),
+        }
+        for frame, lens in zip(frames, lenses, strict=True)
+    ]
+    write_text(path, json.dumps(document, indent=1) + "\n")
+
+
+def _frame(path: Path, document: Mapping[str, Any], entry: Any, index: int) -> NerfstudioFrame:
+    where = f"frame {index}"
+    if not isinstance(entry, dict) or not isinstance(entry.get("file_path"), str) or not entry["file_path"]:
+        raise _wrong(path, f"{where} has no 'file_path'")
+    where = f"frame '{entry['file_path']}'"
+    settings = {**document, **entry}
+    model = settings.get("camera_model", "OPENCV")
+    if model not in PINHOLES:
+        raise _wrong(path, f"{where} has the camera model {model!r}, and only pinholes are read", UNDISTORT)
+    for key in DISTORTION:
+        if key in settings and _number(path, settings, key, where) != 0.0:
+            raise _wrong(path, f"{where}: its lens distorts ({key} = {settings[key]:g}), and only pinholes are read",
+                         UNDISTORT)  # fmt: skip
+    fl_x, fl_y, cx, cy, width, height = (_number(path, settings, key, where) for key in LENSES)
+    if not (fl_x > 0.0 and fl_y > 0.0):
+        raise _wrong(path, f"{where}: its focal lengths must be positive")
+    if not (1 <= width <= LARGEST_PIXELS and 1 <= height <= LARGEST_PIXELS and width % 1 == 0 and height % 1 == 0):
+        raise _wrong(path, f"{where}: {width:g} × {height:g} is no size of a picture")
+    if "transform_matrix" not in entry:
+        raise _wrong(path, f"{where} has no 'transform_matrix'")
+    pose = _rigid(path, entry["transform_matrix"], f"{where}: its transform_matrix") @ TURN
+    intrinsics = np.array([[fl_x, 0.0, cx], [0.0, fl_y, cy], [0.0, 0.0, 1.0]])
+    depth = entry.get("depth_file_path") or ""
+    if not isinstance(depth, str):
+        raise _wrong(path, f"{where}: its depth_file_path is no text")
+    return NerfstudioFrame(
+        file_path=_inside(path, entry["file_path"], where),
+        camera=Camera("perspective", int(width), int(height), intrinsics, pose),
+        depth_file_path=_inside(path, depth, where) if depth else "",
+    )
+
+
+UNDISTORT = "Undistort the pictures first (colmap image_undistorter), and make transforms.json of those."
+
+
+def _moved(camera: Camera, turn: Float, applied: float, to_model: Float, scale: float) -> Camera:
+    pose = camera.pose.copy()
+    pose[:3, 3] /= applied
+    pose = to_model @ np.linalg.inv(turn) @ pose
+    pose[:3, 3] *= scale
+    return replace(camera, pose=pose)
+
+
+def _lens(path: Path, camera: Camera) -> dict[str, float]:
+    if camera.kind != "perspective":
+        raise FileError("nerfstudio knows no orthographic camera.", where=str(path), remedy="Choose Perspective.")
+    matrix = camera.intrinsics
+    return {
+        "fl_x": float(matrix[0, 0]), "fl_y": float(matrix[1, 1]), "cx": float(matrix[0, 2]), "cy": float(matrix[1, 2]),
+        "w": camera.width, "h": camera.height,
+    }  # fmt: skip
+
+
+def _document(path: Path) -> dict[str, Any]:
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FileError(
+            f"cannot be read ({error.strerror or error}).", where=str(path), remedy="Check the path."
+        ) from error
+    except (ValueError, RecursionError) as error:
+        raise _wrong(path, "it is no JSON") from error
+    if isinstance(document, list):
+        raise _wrong(path, "it lists poses without their lenses", "Give the transforms.json that was trained on.")
+    if not isinstance(document, dict):
+        raise _wrong(path, "it is no JSON object")
+    return document
+
+
+def _number(path: Path, settings: Mapping[str, Any], key: str, where: str) -> float:
+    if key not in settings:
+        raise _wrong(path, f"{where} has no '{key}'" if where else f"it has no '{key}'")
+    value = settings[key]
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise _wrong(path, f"{where or 'it'}: '{key}' is no number")
+    return float(value)
+
+
+def _rigid(path: Path, values: Any, name: str) -> Float:
+    """(4, 4) of three or four rows, its rotation exact. Raises FileError where it is more than a turn and a shift."""
+    try:
+        rows = np.array(values, dtype=np.float64)
+    except (ValueError, TypeError, OverflowError):
+        rows = np.zeros(0)
+    if rows.shape not in {(3, 4), (4, 4)} or not np.isfinite(rows).all():
+        raise _wrong(path, f"{name} is no matrix of 3 × 4 or 4 × 4 numbers")
+    if len(rows) == 4 and not np.allclose(rows[3], [0.0, 0.0, 0.0, 1.0], atol=RIGID):
+        raise _wrong(path, f"{name} does not end with 0 0 0 1")
+    turn = rows[:3, :3]
+    if float(np.abs(turn).max()) > 2.0 or float(np.abs(turn @ turn.T - np.eye(3)).max()) > RIGID:
+        raise _wrong(path, f"{name} does more than turn and move")
+    if np.linalg.det(turn) < 0.0:
+        raise _wrong(path, f"{name} mirrors")
+    matrix = np.eye(4)
+    left, _, right = np.linalg.svd(turn)
+    matrix[:3, :3], matrix[:3, 3] = left @ right, rows[:3, 3]
+    return matrix
+
+
+def _inside(path: Path, name: str, where: str) -> str:
+    """A path below the file's folder, with '/'. Raises FileError for any other."""
+    text = name.replace("\\", "/")
+    parts = PurePosixPath(text).parts
+    if not parts or ".." in parts or PurePosixPath(text).is_absolute() or PureWindowsPath(text).drive or "\0" in text:
+        raise _wrong(path, f"{where}: the path {name!r} leaves its folder", "Keep the pictures beside the file.")
+    folder = path.parent.resolve()
+    if not (folder / text).resolve().is_relative_to(folder):
+        raise _wrong(path, f"{where}: the path {name!r} leaves its folder", "Keep the pictures beside the file.")
+    return str(PurePosixPath(text))
+
+
+def _wrong(path: Path, why: str, remedy: str = "Export it again.") -> FileError:
+    return FileError(f"cannot be used: {why}.", where=str(path), remedy=remedy)
