@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +33,7 @@ class Splats:
     @property
     def degree(self) -> int:
         """L of the spherical harmonics."""
-        return round(self.harmonics.shape[1] ** 0.5) - 1
+        return math.isqrt(self.harmonics.shape[1]) - 1
 
     def take(self, which: NDArray[np.bool_] | NDArray[np.intp]) -> Splats:
         """Those of a mask (N,) or of indices (K,)."""
