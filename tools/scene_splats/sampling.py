@@ -1,0 +1,140 @@
+"""Even points on triangles: stratified by area over the triangles, by a low-discrepancy sequence within each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.scene.mesh import TriangleMesh
+
+Float = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+START_DIGITS = 8
+FINE_PIECE = 4.0
+"""A piece around a place is at most so many radii long: little is sampled that is thrown away."""
+CORNERS = np.array([[[1, 1, 0], [1, 0, 1], [0, 1, 1]], [[2, 0, 0], [1, 1, 0], [1, 0, 1]],
+                    [[1, 1, 0], [0, 2, 0], [0, 1, 1]], [[1, 0, 1], [0, 1, 1], [0, 0, 2]]]) / 2.0  # fmt: skip
+"""Corners of a triangle's four quarters in its own barycentric coordinates, the middle one first."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Points on a mesh. triangle: (n,). position, normal: (n, 3), the triangle's own flat normal. spacing: (n,) side of
+    the square whose area each stands for, metres."""
+
+    triangle: Index
+    position: Float
+    normal: Float
+    spacing: Float
+
+    def __len__(self) -> int:
+        return len(self.triangle)
+
+
+def sample_mesh(
+    mesh: TriangleMesh,
+    spacing_m: float,
+    seed: int,
+    *,
+    places: Sequence[Float] = (),
+    reach_m: float = 0.0,
+    fine_m: float | None = None,
+) -> Samples:
+    """Points spacing_m apart on all of mesh, and fine_m apart within reach_m of the places (n, 3)."""
+    random = np.random.default_rng(seed)
+    corners = mesh.corner_positions()
+    whole = np.arange(len(corners))
+    coarse = _sampled(corners, whole, np.broadcast_to(np.eye(3), (len(corners), 3, 3)), spacing_m, random)
+    if fine_m is None or not len(places):
+        return coarse
+    middles = np.asarray(places, dtype=np.float64).reshape(-1, 3)
+    triangle, weights = pieces_near(corners, middles, reach_m, FINE_PIECE * reach_m)
+    fine = _sampled(corners, triangle, weights, fine_m, random)
+    near_coarse, near_fine = (_near(each.position, middles, reach_m) for each in (coarse, fine))
+    parts = [_taken(coarse, ~near_coarse), _taken(fine, near_fine)]
+    return Samples(*(np.concatenate([getattr(part, name) for part in parts])
+                     for name in ("triangle", "position", "normal", "spacing")))  # fmt: skip
+
+
+def pieces_near(corners: Float, middles: Float, reach_m: float, longest_m: float) -> tuple[Index, Float]:
+    """The parts of triangles (T, 3, 3) that may come within reach_m of a middle (n, 3), no side longer than longest_m:
+    which triangle each is of (P,), and its corners' barycentric coordinates (P, 3, 3) there."""
+    triangle = np.arange(len(corners))
+    weights = np.broadcast_to(np.eye(3), (len(corners), 3, 3))
+    done_triangle, done_weights = [np.zeros(0, np.intp)], [np.zeros((0, 3, 3))]
+    while len(triangle):
+        points = weights @ corners[triangle]
+        low, high = points.min(axis=1), points.max(axis=1)
+        meets = np.zeros(len(points), dtype=bool)
+        for middle in middles:
+            meets |= np.linalg.norm(np.clip(middle, low, high) - middle, axis=1) <= reach_m
+        triangle, weights, points = triangle[meets], weights[meets], points[meets]
+        sides = np.linalg.norm(points - np.roll(points, 1, axis=1), axis=2).max(axis=1, initial=0.0)
+        small = sides <= longest_m
+        done_triangle.append(triangle[small])
+        done_weights.append(weights[small])
+        triangle = np.repeat(triangle[~small], 4)
+        weights = (CORNERS[None] @ weights[~small][:, None]).reshape(-1, 3, 3)
+    return np.concatenate(done_triangle or [np.zeros(0, np.intp)]), np.concatenate(
+        done_weights or [np.zeros((0, 3, 3))]
+    )
+
+
+def triangle_sequence(index: Index) -> Float:
+    """(n, 3) barycentric coordinates of the points of these numbers ≥ 0 in the triangular van der Corput sequence
+    (Basu and Owen 2015, Low discrepancy constructions in the triangle, section 3): any 4^k that follow each other,
+    from a multiple of 4^k on, lie in as many equal parts."""
+    left = np.asarray(index, dtype=np.int64).copy()
+    place = np.broadcast_to(np.eye(3), (len(left), 3, 3))
+    while left.any():
+        place = CORNERS[left % 4] @ place
+        left //= 4
+    return np.asarray(place.mean(axis=1))
+
+
+def _sampled(corners: Float, triangle: Index, weights: Float, spacing_m: float, random: np.random.Generator) -> Samples:
+    points = weights @ corners[triangle]
+    cross = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
+    area = 0.5 * np.linalg.norm(cross, axis=1)
+    order = along_a_curve(points.mean(axis=1))
+    filled = np.cumsum(area[order])
+    total = float(filled[-1]) if len(filled) else 0.0
+    count = int(np.ceil(total / spacing_m**2))
+    if not count:
+        return Samples(np.zeros(0, np.intp), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+    at = (np.arange(count) + random.random()) / count * total
+    chosen = order[np.minimum(np.searchsorted(filled, at, side="right"), len(filled) - 1)]
+    first = np.r_[True, chosen[1:] != chosen[:-1]]
+    number = np.arange(count) - np.maximum.accumulate(np.where(first, np.arange(count), 0))
+    start = random.integers(0, 4**START_DIGITS, len(points))
+    position = np.einsum("nc,ncx->nx", triangle_sequence(number + start[chosen]), points[chosen])
+    spacing = np.full(count, np.sqrt(total / count))
+    return Samples(triangle[chosen], position, cross[chosen] / (2.0 * area[chosen])[:, None], spacing)
+
+
+def along_a_curve(points: Float) -> Index:
+    """The order of points (n, 3) along a Z-order curve: neighbours in it are neighbours in space."""
+    if not len(points):
+        return np.zeros(0, np.intp)
+    low, side = points.min(axis=0), max(float(np.ptp(points, axis=0).max()), 1e-300)
+    cell = np.minimum((points - low) / side * 1024.0, 1023.0).astype(np.int64)
+    code = np.zeros(len(points), dtype=np.int64)
+    for bit in range(10):
+        for axis in range(3):
+            code |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return np.argsort(code, kind="stable")
+
+
+def _near(points: Float, middles: Float, reach_m: float) -> NDArray[np.bool_]:
+    near = np.zeros(len(points), dtype=bool)
+    for middle in middles:
+        near |= np.einsum("nx,nx->n", points - middle, points - middle) <= reach_m**2
+    return near
+
+
+def _taken(samples: Samples, which: NDArray[np.bool_]) -> Samples:
+    return Samples(samples.triangle[which], samples.position[which], samples.normal[which], samples.spacing[which])
