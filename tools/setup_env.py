@@ -10,11 +10,13 @@ its content; it is written only after pip has succeeded, so an interrupted set-u
 from __future__ import annotations
 
 import hashlib
+import os
 import shutil
 import subprocess
 import sys
 import time
 import tomllib
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import system_libraries
@@ -25,6 +27,7 @@ FOLDERS = {"demo": ".venv", "test": ".venv", "blender-4.5": ".venv-4.5", "blende
 # An environment that already holds a larger set serves the smaller one.
 SERVED_BY = {"demo": ("demo", "test")}
 PIP_TIMEOUT_S = 1800
+AT_ONCE = 2
 
 
 class SetupError(Exception):
@@ -79,9 +82,19 @@ def ensure_interpreter(folder: Path) -> Path:
 
 
 def pip(python: Path, *arguments: str) -> None:
-    """Run pip in the project's root, quietly."""
-    command = [str(python), "-m", "pip", "--disable-pip-version-check", "--no-input", "install", "-q", *arguments]
-    subprocess.run(command, cwd=ROOT, check=True, timeout=PIP_TIMEOUT_S, stdin=subprocess.DEVNULL)
+    """Run pip in the project's root, quietly. Bytecode is left to the first import: most of torch is never imported."""
+    options = ["--disable-pip-version-check", "--no-input", "install", "-q", "--no-compile"]
+    command = [str(python), "-m", "pip", *options, *arguments]
+    environment = os.environ | {"DIST_EXTRA_CONFIG": str(own_build_folder(python.parent.parent))}
+    subprocess.run(command, cwd=ROOT, env=environment, check=True, timeout=PIP_TIMEOUT_S, stdin=subprocess.DEVNULL)
+
+
+def own_build_folder(folder: Path) -> Path:
+    """A setuptools configuration with which builds for this environment write nothing into the project's root, where
+    builds for several environments would meet."""
+    config = folder / "build.cfg"
+    config.write_text(f"[egg_info]\negg_base = {folder}\n[build]\nbuild_base = {folder / 'build'}\n", encoding="utf-8")
+    return config
 
 
 def ensure(name: str) -> None:
@@ -102,8 +115,20 @@ def ensure(name: str) -> None:
     print(f"{folder.name} is ready ({time.monotonic() - started:.0f} s).", flush=True)
 
 
+def complaints_of(names: list[str]) -> list[str]:
+    """Ensure the sets of one folder in turn, to the first that fails: one line for the person."""
+    for name in names:
+        try:
+            ensure(name)
+        except SetupError as error:
+            return [str(error)]
+        except (OSError, subprocess.SubprocessError) as error:
+            return [f"Setting up {FOLDERS[name]} failed: {error}. Fix that and run make again."]
+    return []
+
+
 def main(names: list[str]) -> int:
-    """Ensure each named set in turn; 0 when all are ready, 1 with one clear line otherwise."""
+    """Ensure each named set, AT_ONCE folders at a time; 0 when all are ready, 1 with one line for each that failed."""
     unknown = [name for name in names if name not in FOLDERS]
     if unknown or not names:
         print(f"usage: setup_env.py {{{','.join(FOLDERS)}}}…", file=sys.stderr)
@@ -113,16 +138,14 @@ def main(names: list[str]) -> int:
         return 1
     if system_libraries.main() != 0:
         return 1
+    folders: dict[str, list[str]] = {}
     for name in names:
-        try:
-            ensure(name)
-        except SetupError as error:
-            print(error, file=sys.stderr)
-            return 1
-        except (OSError, subprocess.SubprocessError) as error:
-            print(f"Setting up {FOLDERS[name]} failed: {error}. Fix that and run make again.", file=sys.stderr)
-            return 1
-    return 0
+        folders.setdefault(FOLDERS[name], []).append(name)
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        complaints = [complaint for found in pool.map(complaints_of, folders.values()) for complaint in found]
+    for complaint in complaints:
+        print(complaint, file=sys.stderr)
+    return int(bool(complaints))
 
 
 if __name__ == "__main__":
