@@ -53,10 +53,18 @@ def without(folder: str, *names: str) -> tuple[str, ...]:
     return (folder, *(f"--ignore-glob=*/{name}.py" for name in names))
 
 
-# Other processes and counted work: nothing that another Blender could change.
-SAME_ON_EVERY_BLENDER = ("test_batch_touch", "test_bench_scale")
-# Long ones; the oldest and the newest Blender agree on them.
-ONCE_IS_ENOUGH = ("test_real_scenes", "test_lazy", "test_bench_views", *SAME_ON_EVERY_BLENDER)
+# Words, other processes and counted work: nothing that another Blender could change.
+SAME_ON_EVERY_BLENDER = (
+    "test_batch_touch", "test_bench_scale", "test_touch_words", "test_jobs_choices", "test_repository",
+    "test_second_run", "test_docs_reference",
+)  # fmt: skip
+# Long ones; the oldest and the newest Blender agree on them. What calls Blender's API runs on every one of them, and
+# test_jobs runs the main job there.
+ONCE_IS_ENOUGH = (
+    "test_real_scenes", "test_lazy", "test_bench_*", "test_touch", "test_touch_bad_input", "test_touch_predicted",
+    "test_predicted_route", "test_probe", "test_probe_predicted", "test_jobs_predicted", "test_extension",
+    "test_preview_export", "test_cache_truth", "test_stress", *SAME_ON_EVERY_BLENDER,
+)  # fmt: skip
 # Real time, other processes, compilers and words: nothing that another numpy could change.
 SAME_ON_EVERY_NUMPY = (
     "test_faults*", "test_audio_sink", "test_player", "test_serial_s*", "test_osc_sink", "test_firmware_*",
