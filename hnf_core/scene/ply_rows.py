@@ -78,13 +78,16 @@ def _lines(
             break
         for _ in islice(filled, rows):
             pass
-    count = header.count(element)
+    count, columns = header.count(element), len(kind.names or ())
     for first in range(0, count, block):
         rows = min(block, count - first)
         text = list(islice(filled, rows))
-        if len(text) < rows:
-            raise cut_short(path, element, first + sum(line.endswith("\n") for line in text), count)
-        table = _numbers(path, text, len(kind.names or ()))
+        # The very last line may do without an end of its own, but then has all its numbers.
+        broken = bool(text) and not text[-1].endswith("\n") and (len(text) < rows or len(text[-1].split()) < columns)
+        whole = len(text) - broken
+        if whole < rows:
+            raise cut_short(path, element, first + whole, count)
+        table = _numbers(path, text, columns)
         structured = np.empty(rows, dtype=kind)
         with np.errstate(over="ignore", invalid="ignore"):
             for column, name in enumerate(kind.names or ()):

@@ -13,6 +13,7 @@ from splat_files import floats, inria_columns, ply_bytes, random_splats, write_c
 
 from hnf_core.errors import FileError
 from hnf_core.scene.ply_header import read_ply_header
+from hnf_core.scene.splats import read
 from hnf_core.scene.splats.inria import write_inria
 from hnf_core.scene.splats.read import iter_readings, iter_splats, read_splats, read_whole
 
@@ -70,11 +71,12 @@ def test_broken_splats_are_dropped_and_counted(tmp_path: Path) -> None:
         np.testing.assert_array_equal(getattr(found.splats, name), getattr(sound, name)[7:])
 
 
-def test_a_splat_without_rotation_is_dropped(tmp_path: Path) -> None:
+@pytest.mark.parametrize("length", [0.0, 1e-13, 1e300])
+def test_a_splat_whose_rotation_has_no_direction_is_dropped(tmp_path: Path, length: float) -> None:
     columns = inria_columns(random_splats(100))
     for part in range(4):
-        columns[f"rot_{part}"] = np.where(np.arange(100) == 40, 0.0, columns[f"rot_{part}"])
-    (tmp_path / "a.ply").write_bytes(ply_bytes([("vertex", floats(columns))]))
+        columns[f"rot_{part}"] = np.where(np.arange(100) == 40, length / 2.0, columns[f"rot_{part}"])
+    (tmp_path / "a.ply").write_bytes(ply_bytes([("vertex", floats(columns, "double"))]))
     found = read_whole(tmp_path / "a.ply")
     assert found.dropped == {"not finite": 0, "too large": 0, "no rotation": 1}
     assert len(found.splats) == 99
@@ -125,7 +127,7 @@ def test_a_cut_file_says_how_much_is_there(whole: dict[str, Path], tmp_path: Pat
         "compressed": max(0, size - 144 - 300 * 16) // 9,
     }[layout]
     assert f"is cut short: {there} of its 300 splats are there." in str(refusal(path))
-    if layout != "ascii":
+    if layout != "ascii":  # whose end only reading finds
         with pytest.raises(FileError, match="cut short"):
             iter_splats(path)
 
@@ -187,6 +189,16 @@ def test_a_header_that_does_not_fit_is_refused(
     assert old.encode() in data
     path.write_bytes(data.replace(old.encode(), new.encode(), 1))
     assert message in str(refusal(path))
+
+
+def test_an_absurd_count_of_an_ascii_file_takes_no_room(
+    whole: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not even once some of it was found to be there."""
+    monkeypatch.setattr(read, "BLOCK", 100)
+    path = tmp_path / "a.ply"
+    path.write_bytes(whole["ascii"].read_bytes().replace(b"vertex 300", b"vertex 999999999999999999"))
+    assert "cut short: 300 of its 999999999999999999" in str(refusal(path))
 
 
 @pytest.mark.parametrize(

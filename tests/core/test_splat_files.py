@@ -194,6 +194,8 @@ def test_a_box_holds_the_splats_whose_centre_it_holds(files: dict[str, Path], la
     found = read_whole(files[layout], within=box)
     same(found.splats, whole.take(np.array(inside)))
     assert found.total == 600
+    corner = tuple(whole.means[7].tolist())
+    assert len(read_splats(files[layout], within=Box(corner, corner))) == 1
 
 
 def test_a_splat_file_is_told_by_its_header(files: dict[str, Path], tmp_path: Path) -> None:

@@ -46,7 +46,8 @@ def read_whole(path: Path, *, within: Box | None = None) -> Reading:
     """
     path = Path(path)
     header = check_splat_file(path)
-    kept = _Kept(header.count("vertex") if within is None else None)
+    # The count of an ascii file cannot be checked beforehand, so it gets no room.
+    kept = _Kept(header.count("vertex") if within is None and header.format != "ascii" else None)
     total, thickened = 0, 0
     dropped: Counter[str] = Counter()
     for reading in _readings(path, header, BLOCK):
@@ -113,7 +114,7 @@ def _readings(path: Path, header: PlyHeader, chunk: int) -> Iterator[Reading]:
 
 
 class _Kept:
-    """Blocks put together. room: splats at most, where known: then nothing is held twice."""
+    """Blocks put together. room: splats at most, where it is to be taken at once, so that nothing is held twice."""
 
     def __init__(self, room: int | None) -> None:
         self._room, self._count = room, 0
