@@ -75,7 +75,7 @@ def test_broken_splats_are_dropped_and_counted(tmp_path: Path) -> None:
 def test_a_splat_whose_rotation_has_no_direction_is_dropped(tmp_path: Path, length: float) -> None:
     columns = inria_columns(random_splats(100))
     for part in range(4):
-        columns[f"rot_{part}"] = np.where(np.arange(100) == 40, length / 2.0, columns[f"rot_{part}"])
+        columns[f"rot_{part}"] = np.where(np.arange(100) == 40, length / 2.0, columns[f"rot_{part}"].astype(np.float64))
     (tmp_path / "a.ply").write_bytes(ply_bytes([("vertex", floats(columns, "double"))]))
     found = read_whole(tmp_path / "a.ply")
     assert found.dropped == {"not finite": 0, "too large": 0, "no rotation": 1}
