@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +22,9 @@ class SplatView:
     """
 
     camera: Camera
-    rgb: NDArray[np.floating]
-    depth: NDArray[np.floating]
-    median: NDArray[np.floating]
-    opacity: NDArray[np.floating]
+    rgb: NDArray[np.floating[Any]]
+    depth: NDArray[np.floating[Any]]
+    median: NDArray[np.floating[Any]]
+    opacity: NDArray[np.floating[Any]]
     drawn: int
     pairs: int
