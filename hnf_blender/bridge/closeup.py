@@ -142,7 +142,7 @@ def iter_closeups(
         prepare_cycles(temporary.scene, samples=1)
         geometry_only(temporary.scene)
         stage = set_stage(temporary, obj, metres_per_unit, frame, surface)
-        surface = stage.surface if caster is not None else _within_reach(stage.surface, patches)
+        surface = stage.surface if caster is not None else within_reach(stage.surface, patches)
         caster = caster or ray_caster(surface.mesh)
         readings = {slot: tap_slot(stage, slot, where) for slot in sorted({patch.slot for patch in patches})}
         taps = [tap for reading in readings.values() for tap in reading.taps]
@@ -151,7 +151,7 @@ def iter_closeups(
         temporary.scene.render.use_persistent_data = len(patches) > 1
         for patch in patches:
             side = pixels if _has_detail(readings[patch.slot]) else min(pixels, APPEARANCE_PIXELS)
-            camera, rays = _unoccluded(patch, side, caster)
+            camera, rays = unoccluded(patch, side, caster)
             passes: Passes = {}
             if readings[patch.slot].taps:
                 aim(temporary.scene, camera_object, camera, stage.rigid, stage.metres_per_unit)
@@ -161,7 +161,7 @@ def iter_closeups(
             yield _closeup(scene, surface, rays + seen.depth.size)
 
 
-def _within_reach(surface: Surface, patches: Sequence[Patch]) -> Surface:
+def within_reach(surface: Surface, patches: Sequence[Patch]) -> Surface:
     """What the patches' cameras can see of it: no tree is built of faces out of reach."""
     near = mesh_near(surface.mesh, [patch.centre for patch in patches], max(patch.reach_m for patch in patches))
     return replace(surface, mesh=near) if len(near.triangles) else surface
@@ -191,7 +191,7 @@ class _Seen:
         return self.patch.size_m / self.camera.width
 
 
-def _unoccluded(patch: Patch, pixels: int, caster: RayCaster) -> tuple[Camera, int]:
+def unoccluded(patch: Patch, pixels: int, caster: RayCaster) -> tuple[Camera, int]:
     """The patch's camera, its near clip moved under whatever part of the object hangs over the patch's centre."""
     camera = patch.camera(pixels)
     lift = LIFT_M
@@ -244,9 +244,13 @@ def _look(seen: _Seen, albedo: NDArray[np.float32], mask: Mask, surface: Surface
 def _own_surface(seen: _Seen, surface: Surface) -> Mask:
     """Pixels of the patch's slot that connect to its centre without a step in depth."""
     slot = np.where(seen.cast.triangle >= 0, surface.mesh.slot[seen.cast.triangle], -1)
-    own = slot == seen.patch.slot
-    depth = np.where(own, seen.cast.depth, 0.0)
-    limit = STEEPEST * seen.pixel_m
+    return connected(slot == seen.patch.slot, seen.cast.depth, seen.pixel_m)
+
+
+def connected(own: Mask, depth: NDArray[np.floating[Any]], pixel_m: float) -> Mask:
+    """Those of own (H, W) that are joined to the patch's centre without a step in planar depth (H, W) in metres."""
+    depth = np.where(own, depth, 0.0)
+    limit = STEEPEST * pixel_m
     right = own[:, 1:] & own[:, :-1] & (np.abs(np.diff(depth, axis=1)) <= limit)
     down = own[1:] & own[:-1] & (np.abs(np.diff(depth, axis=0)) <= limit)
     rows, columns = own.shape

@@ -11,8 +11,9 @@ from urllib.parse import unquote
 
 from hnf_core.errors import FileError, SceneError
 from hnf_core.scene.ply_header import read_ply_header
+from hnf_core.scene.splats.read import check_splat_file
 
-from .. import compat
+from .painted import show_painted
 from .quiet import quiet
 
 SUFFIXES = (".blend", ".gltf", ".glb", ".obj", ".ply", ".usd", ".usda", ".usdc", ".usdz", ".fbx")
@@ -24,13 +25,14 @@ BLEND_STARTS = (b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b")
 USD_STARTS = (b"#usda", b"PXR-USDC", b"PK\x03\x04")
 
 
-def open_scene(path: Path) -> Any:
+def open_scene(path: Path, cache: Path | None = None) -> Any:
     """Open a scene file and return its bpy Scene, which is then Blender's active one.
 
     A .blend is opened as it is (its user interface and its Python scripts are left alone); every other format is
-    imported into an empty scene, never into the start-up one. Raises FileError where the file is missing, damaged,
+    imported into an empty scene, never into the start-up one. cache: folder where the surfaces of reconstructions are
+    kept, None = they are made every time. Raises FileError where the file is missing, damaged,
     of an unsupported kind or refers to a missing part, and SceneError where it holds nothing to touch. What was open
-    before stays open when the file is refused by its head.
+    before stays open when the file is refused by its head, and when splats cannot be made a surface of.
     """
     import bpy
 
@@ -47,13 +49,29 @@ def open_scene(path: Path) -> Any:
                 remedy="Save the file with the right scene active.",
             )
         return scene
+    if suffix == ".ply" and read_ply_header(path).is_splat:
+        return _open_splats(path, cache)
     empty_scene()
     importer = _importer(suffix, path)
     _run(path, lambda: importer(filepath=str(path)))
     scene = bpy.context.scene
     _check_import(scene, path)
     if suffix == ".ply":
-        _show_painted(scene)
+        for obj in scene.objects:
+            show_painted(obj)
+    return scene
+
+
+def _open_splats(path: Path, cache: Path | None) -> Any:
+    import bpy
+
+    from .splat_reconstruction import read_reconstruction
+    from .splat_scene import add_reconstruction
+
+    made = read_reconstruction(path, cache)
+    empty_scene()
+    scene = bpy.context.scene
+    add_reconstruction(scene, made)
     return scene
 
 
@@ -99,23 +117,6 @@ def size_warning(obj: Any, metres: float) -> str | None:
     return f"object '{obj.name}' is {size} across. {unit}: say so under Units in the Touch tab, or with --scale."
 
 
-def _show_painted(scene: Any) -> None:
-    """A scan's colours lie on its points, and its file names no material: give it one that shows them."""
-    import bpy
-
-    for obj in scene.objects:
-        if obj.type != "MESH" or obj.data.materials or not obj.data.color_attributes:
-            continue
-        material = bpy.data.materials.new(obj.name)
-        compat.switch_nodes_on(material)
-        tree = material.node_tree
-        painted = tree.nodes.new("ShaderNodeVertexColor")
-        painted.layer_name = obj.data.color_attributes[0].name
-        shader = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
-        tree.links.new(painted.outputs["Color"], shader.inputs["Base Color"])
-        obj.data.materials.append(material)
-
-
 def _check_head(path: Path, suffix: str) -> None:
     """Refuse by name, size and first bytes whatever Blender would not open, before anything open is given up."""
     where = str(path)
@@ -157,7 +158,8 @@ def _check_head(path: Path, suffix: str) -> None:
 def _check_ply(path: Path) -> None:
     header = read_ply_header(path)
     if header.is_splat:
-        raise _splat(str(path))
+        check_splat_file(path)
+        return
     if header.count("face") == 0 and header.count("tristrips") == 0:
         raise SceneError(
             f"is a cloud of {header.count('vertex')} points without faces: there is no surface to touch.",
@@ -248,7 +250,9 @@ def _one_line(message: str) -> str:
 
 def _splat(where: str) -> SceneError:
     return SceneError(
-        "is a Gaussian-splat scene, which is not supported yet.", where=where, remedy="Convert it to a mesh first."
+        "is a Gaussian-splat scene of a kind that is not read.",
+        where=where,
+        remedy="Convert it to .ply with SuperSplat or splat-transform.",
     )
 
 

@@ -27,15 +27,25 @@ UNBAKED = -1
 
 
 @dataclass(frozen=True)
+class PointTokens:
+    """The same of the splats that a mesh was made from: index (N,) int32, confidence (N,) float32."""
+
+    index: NDArray[np.int32]
+    confidence: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
 class FaceTokens:
     """What one mesh carries. index: (F,) int32 into palette, UNBAKED where nothing was touched.
-    roughness: (F,) float32 metres RMS; confidence: (F,) float32. source: hash of what it was baked from."""
+    roughness: (F,) float32 metres RMS; confidence: (F,) float32. source: hash of what it was baked from. points: for
+    the splats of a reconstructed surface, None where there are none; they are kept there (bridge.splat_cloud)."""
 
     palette: Palette
     index: NDArray[np.int32]
     roughness: NDArray[np.float32]
     confidence: NDArray[np.float32]
     source: str
+    points: PointTokens | None = None
 
 
 def write_tokens(mesh: Any, tokens: FaceTokens) -> None:

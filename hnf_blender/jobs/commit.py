@@ -10,6 +10,7 @@ from typing import Any
 
 from hnf_core.errors import HnfError
 
+from ..bridge.splat_cloud import cloud_of, require_writable, write_point_tokens
 from ..bridge.storage import FaceTokens, write_tokens
 from ..preview.stroke_bake import StrokeBake
 from ..state.guard import own_changes
@@ -170,6 +171,8 @@ def _problem_of_mesh(tokens: TokenFile, folder: Path, place: Place, session: Ses
         return f"{where}: a material choice changed while it was baked. {AGAIN}"
     try:
         same = session.surface_key(obj) == tokens.surface_key
+        if (cloud := cloud_of(obj)) is not None:
+            require_writable(cloud)
     except HnfError as error:
         return f"{where}: it changed while it was baked, and now: {error}"
     if not same:
@@ -201,5 +204,7 @@ def _write(ready: _Ready, scene: Any) -> Committed:
         done.strokes.append(obj.name)
     for uid, tokens in ready.meshes:
         write_tokens(objects[uid].data, tokens)
+        if tokens.points is not None:
+            write_point_tokens(cloud_of(objects[uid]), tokens.points)
         done.meshes.append(objects[uid].data.name)
     return done

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from hnf_core.errors import FileError
 from hnf_core.files import write_text
 from hnf_core.material.palette import Palette
 
-from ..bridge.storage import FaceTokens
+from ..bridge.storage import FaceTokens, PointTokens
 from ..touch.inputs import Inputs
 from .records import from_text, to_text
 
@@ -101,6 +101,7 @@ def read_result(folder: Path) -> Result:
 def pack_tokens(tokens: FaceTokens) -> bytes:
     """Equal tokens, equal bytes; no pickle."""
     packed = io.BytesIO()
+    points = {} if tokens.points is None else asdict(tokens.points)
     np.savez(
         packed,
         palette=np.frombuffer(tokens.palette.to_bytes(), np.uint8),
@@ -108,6 +109,7 @@ def pack_tokens(tokens: FaceTokens) -> bytes:
         roughness=tokens.roughness,
         confidence=tokens.confidence,
         source=np.array(tokens.source),
+        **{f"points_{name}": values for name, values in points.items()},
     )
     return packed.getvalue()
 
@@ -122,6 +124,11 @@ def unpack_tokens(data: bytes) -> FaceTokens:
                 roughness=arrays["roughness"].astype(np.float32),
                 confidence=arrays["confidence"].astype(np.float32),
                 source=str(arrays["source"]),
+                points=PointTokens(
+                    arrays["points_index"].astype(np.int32), arrays["points_confidence"].astype(np.float32)
+                )
+                if "points_index" in arrays
+                else None,
             )
     except DAMAGED as error:
         raise FileError(f"the tokens are damaged ({error}).", where="job folder", remedy="Bake again.") from error

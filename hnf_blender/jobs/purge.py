@@ -8,6 +8,7 @@ from typing import Any
 
 from hnf_core.errors import HnfError
 
+from ..bridge.splat_cloud import cloud_of, remove_point_tokens
 from ..bridge.storage import SCHEMA_PROPERTY, remove_tokens
 from ..state.guard import own_changes
 from ..state.session import STATE, Freshness, StrokeStatus
@@ -50,9 +51,18 @@ def purge(scene: Any, view_layer: Any, *, everything: bool) -> Freed:
             if mesh.library is None and SCHEMA_PROPERTY in mesh and (session is None or _is_old(session, mesh)):
                 try:
                     freed += remove_tokens(mesh)
+                    freed += sum(remove_point_tokens(cloud) for cloud in _clouds_of(mesh))
                 except HnfError as error:
                     left.append(f"{error.where}: {error.what}")
     return Freed(freed, tuple(left))
+
+
+def _clouds_of(mesh: Any) -> list[Any]:
+    """The splats of the surfaces that have this mesh."""
+    import bpy
+
+    clouds = [cloud_of(obj) for obj in bpy.data.objects if obj.data == mesh]
+    return [cloud for cloud in clouds if cloud is not None and cloud.data.library is None]
 
 
 def _is_outgrown(session: Session, obj: Any) -> bool:

@@ -11,6 +11,8 @@ MODULES = (
     "bake",
     "diagnose",
     "drop",
+    "splats",
+    "real_length",
     "assets",
     "draw",
     "strokes",

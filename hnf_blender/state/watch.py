@@ -232,7 +232,11 @@ def _scale(scene: Any) -> tuple[object, ...]:
 
 def _concerns(obj: Any, names: set[str]) -> bool:
     """May the object's surface look or feel different where datablocks of these names changed?"""
-    if obj.name in names or (obj.data is not None and obj.data.name in names):
+    from ..bridge.splat_cloud import cloud_of
+
+    cloud = cloud_of(obj)
+    parts = (obj, obj.data, cloud, None if cloud is None else cloud.data)
+    if any(part is not None and part.name in names for part in parts):
         return True
     return any(slot.material is not None and slot.material.name in names for slot in obj.material_slots)
 

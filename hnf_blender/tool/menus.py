@@ -44,6 +44,7 @@ def import_menu(self: Any, _context: Any) -> None:
     """Blender calls this while it draws File > Import: what a drop on the 3-D view does, from a file browser."""
     self.layout.operator("hnf.import_material")
     self.layout.operator("hnf.import_sound")
+    self.layout.operator("hnf.import_splats")
 
 
 PLACES = (

@@ -24,6 +24,7 @@ from hnf_core.tactile.tactile_map import Route, TactileMap
 
 from ..bridge.closeup import CloseUp, iter_closeups
 from ..bridge.meshes import Surface
+from ..bridge.splat_cloud import cloud_of
 from .report import Counts
 from .seeing import SENSOR, Seeing, predicted_maps
 from .store import STORE_VERSION, PatchRecord, load_patch, load_prediction, save_patch, save_prediction
@@ -37,7 +38,8 @@ class TouchedObject:
     """An object as strokes of this run meet it. shape_hash: of its geometry. shader_hashes: by material slot.
     owner_hash: of what its shaders read of the object beside its shape, "" = nothing. frame: scene frame, None = still.
     chosen: what the artist said on the materials themselves, by slot: library material, definition, "" = nothing.
-    pictures: names of the textures that feed each slot's shader."""
+    pictures: names of the textures that feed each slot's shader. splats: name of the file whose splats show the object,
+    "" = none. reliefs: by slot, whether its shader has a relief."""
 
     obj: Any
     surface: Surface
@@ -48,6 +50,12 @@ class TouchedObject:
     frame: float | None = None
     chosen: tuple[str | MaterialFile, ...] = ()
     pictures: tuple[tuple[str, ...], ...] = ()
+    splats: str = ""
+    reliefs: tuple[bool, ...] = ()
+
+    def is_seen_in_splats(self, slot: int) -> bool:
+        """A relief that the artist gave the surface counts for more than what its splats look like."""
+        return bool(self.splats) and not (slot < len(self.reliefs) and self.reliefs[slot])
 
 
 def patch_key(touched: TouchedObject, patch: Patch, encoder: str) -> str:
@@ -82,15 +90,7 @@ def bake_patches(
     keys = [patch_key(touched, patch, seeing.measured.content_id) for patch in patches]
     wanted = dict(zip(keys, patches, strict=True))
     found = {key: record for key in wanted if (record := load_patch(folder, key)) is not None}
-    closeups = iter_closeups(
-        touched.obj,
-        [patch for key, patch in wanted.items() if key not in found],
-        surface=touched.surface,
-        pixels=PATCH_PIXELS,
-        metres_per_unit=touched.metres_per_unit,
-        frame=touched.frame,
-    )
-    with closing(closeups):
+    with closing(_closeups(touched, [patch for key, patch in wanted.items() if key not in found])) as closeups:
         for done, (key, patch) in enumerate(wanted.items(), 1):
             if key not in found:
                 closeup = next(closeups)
@@ -102,6 +102,31 @@ def bake_patches(
                 found[key] = _seen(found[key], key, noise_seed(touched, patch), folder, seeing, counts)
             yield done / len(wanted)
     return tuple(found[key] for key in keys)
+
+
+def _closeups(touched: TouchedObject, patches: Sequence[Patch]) -> Generator[CloseUp, None, None]:
+    """One a patch, in their order: in the splats of a reconstructed surface, else by its shader."""
+    in_splats = [touched.is_seen_in_splats(patch.slot) for patch in patches]
+    drawn = iter_closeups(
+        touched.obj,
+        [patch for patch, splats in zip(patches, in_splats, strict=True) if not splats],
+        surface=touched.surface,
+        pixels=PATCH_PIXELS,
+        metres_per_unit=touched.metres_per_unit,
+        frame=touched.frame,
+    )
+    with closing(drawn):
+        if not any(in_splats):
+            yield from drawn
+            return
+        from ..bridge.splat_closeup import iter_splat_closeups
+
+        own = [patch for patch, splats in zip(patches, in_splats, strict=True) if splats]
+        cloud = cloud_of(touched.obj)
+        reconstructed = iter_splat_closeups(touched.obj, cloud, own, surface=touched.surface, pixels=PATCH_PIXELS)
+        with closing(reconstructed):
+            for splats in in_splats:
+                yield next(reconstructed if splats else drawn)
 
 
 def noise_seed(touched: TouchedObject, patch: Patch) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ from ..bridge.owner import owner_text, reads_of
 from ..bridge.picture_names import picture_names
 from ..bridge.placement import default_slots, place_primitive
 from ..bridge.shader_colour import Shows, shows
+from ..bridge.splat_cloud import cloud_hash, cloud_of, is_cloud, notes_of, source_of
 from ..bridge.strokes import SceneStroke, path_hash, read_stroke, stroke_objects, touch_hash
 from .bake import PATCH_PIXELS, TouchedObject
 from .inputs import Inputs
@@ -33,6 +34,11 @@ from .report import Counts, Failed, Skipped
 from .seeing import SENSOR, Seeing
 from .store import STORE_VERSION
 from .targets import Target, resolve_target
+
+NO_SCALE = (
+    "is a reconstruction, which has no scale of its own: one unit is taken to be {metres:g} m. Say how long something "
+    "in it really is: Set Real Length under Units in the Touch tab, or --scale."
+)
 
 
 @dataclass(frozen=True)
@@ -61,7 +67,8 @@ class Job:
 @dataclass(frozen=True)
 class SurfaceFacts:
     """What the plan knows of an object without a triangle of it. materials: names by slot. shows: what each slot's
-    shader can tell of its relief. chosen, shape_hash, shader_hashes, owner_hash, pictures: see TouchedObject."""
+    shader, or its splats, can tell of its relief. chosen, shape_hash, shader_hashes, owner_hash, pictures, splats: see
+    TouchedObject."""
 
     materials: tuple[str, ...]
     chosen: tuple[str | MaterialFile, ...]
@@ -70,6 +77,7 @@ class SurfaceFacts:
     owner_hash: str
     shows: tuple[Shows, ...]
     pictures: tuple[tuple[str, ...], ...]
+    splats: str = ""
 
 
 @dataclass
@@ -107,8 +115,20 @@ class Session:
 
     def surface(self, obj: Any) -> Surface:
         if obj.name not in self._surfaces:
-            self._surfaces[obj.name] = surface_mesh(obj, self.depsgraph, self.metres_per_unit)
+            made = surface_mesh(obj, self.depsgraph, self.metres_per_unit)
+            self._surfaces[obj.name] = replace(made, notes=(*made.notes, *self.splat_notes(obj)))
         return self._surfaces[obj.name]
+
+    def splat_notes(self, obj: Any) -> tuple[str, ...]:
+        """What to say of a reconstructed object: what its reconstruction left to say, and that no one gave it a scale;
+        nothing of any other object."""
+        if cloud_of(obj) is None:
+            return ()
+        units = self.scene.unit_settings
+        told = self.request.metres_per_unit is not None or self.scene.hnf.metres_per_unit > 0.0
+        if told or (units.system != "NONE" and units.scale_length != 1.0):
+            return notes_of(obj)
+        return (*notes_of(obj), f"object '{obj.name}' {NO_SCALE.format(metres=self.metres_per_unit)}")
 
     def touched(self, obj: Any) -> TouchedObject:
         """Raises SceneError where obj is hidden or has no surface."""
@@ -123,6 +143,8 @@ class Session:
                 metres_per_unit=self.metres_per_unit,
                 chosen=facts.chosen,
                 pictures=facts.pictures,
+                splats=facts.splats,
+                reliefs=tuple(shown is Shows.RELIEF for shown in facts.shows),
             )
         return self._touched[obj.name]
 
@@ -136,14 +158,18 @@ class Session:
             flush_edits(obj)
             slots = slot_materials(obj, self.depsgraph)
             reads = reads_of(obj, slots)
+            cloud = cloud_of(obj)
+            owned = "" if cloud is None else cloud_hash(obj, cloud)
+            shown = tuple(shows(material) for material in slots)
             self._facts[obj.name] = SurfaceFacts(
                 materials=tuple("" if material is None else material.name for material in slots),
                 chosen=tuple("" if material is None else own_word(material) for material in slots),
                 shape_hash=mesh_hash(obj, self.depsgraph, self.metres_per_unit, reads.layers),
                 shader_hashes=tuple(material_hash(material, self.scene.frame_current) for material in slots),
-                owner_hash=owner_text(obj, self.scene, slots, reads),
-                shows=tuple(shows(material) for material in slots),
+                owner_hash=owner_text(obj, self.scene, slots, reads) + owned,
+                shows=shown if cloud is None else tuple(_in_splats(each) for each in shown),
                 pictures=tuple(picture_names(material) for material in slots),
+                splats="" if cloud is None else source_of(cloud),
             )
         return self._facts[obj.name]
 
@@ -216,6 +242,7 @@ class Session:
         facts = self.facts(obj)
         choices = repr(sorted(self.choices(object_name).items(), key=repr))
         reads = any(look is Shows.PICTURE and not chosen for look, chosen in self.outlook(obj, material))
+        reads = reads or bool(facts.splats and not facts.shows)
         pictures = (name for slot in facts.pictures for name in slot)
         names = (object_name, obj.data.name, *facts.materials, *pictures)
         return Inputs(
@@ -228,6 +255,11 @@ class Session:
             path=path,
             touch=touch,
         )
+
+
+def _in_splats(shown: Shows) -> Shows:
+    """What a slot of a reconstructed surface can tell: its splats are a picture of it, whatever its shader's colour."""
+    return Shows.RELIEF if shown is Shows.RELIEF else Shows.PICTURE
 
 
 def _hashable(word: str | MaterialFile) -> str | bytes:
@@ -277,8 +309,9 @@ def look_around(session: Session, found: Gathered) -> None:
     """Say what the jobs leave out, and which of their surfaces have a size that no hand would meet."""
     found.skipped += list(_left_out(session, {job.object_name for job in found.jobs}))
     for name in dict.fromkeys(job.object_name for job in found.jobs):
-        warning = size_warning(session.scene.objects[name], session.metres_per_unit)
-        found.notes += [warning] if warning else []
+        obj = session.scene.objects[name]
+        warning = size_warning(obj, session.metres_per_unit)
+        found.notes += [*([warning] if warning else []), *session.splat_notes(obj)]
 
 
 def _try(found: Gathered, name: str, make: Any) -> None:
@@ -297,7 +330,9 @@ def _unique(name: str, found: Gathered) -> str:
 
 def _left_out(session: Session, touched: set[str]) -> Iterator[Skipped]:
     """What the strokes do not need: counted, not listed, where it is much."""
-    others = [obj for obj in session.scene.objects if obj.type == "MESH" and obj.name not in touched]
+    others = [
+        obj for obj in session.scene.objects if obj.type == "MESH" and obj.name not in touched and not is_cloud(obj)
+    ]
     hidden = [obj.name for obj in others if not is_visible(obj, session.view_layer)]
     free = [obj.name for obj in others if obj.name not in set(hidden)]
     muted = [obj.name for obj in session.scene.objects if obj.hnf_stroke.is_stroke and obj.hnf_stroke.mute]

@@ -26,20 +26,22 @@ def object_plans(session: Session, obj: Any, material: str = "") -> tuple[SlotPl
 
     A slot with a picture may still come out prior, where the picture turns out to be too coarse or of one colour.
     """
-    materials = session.facts(obj).materials
+    facts = session.facts(obj)
+    why = f"no relief, but splats of {facts.splats} show it" if facts.splats else "no relief, but its colour varies"
     return tuple(
-        _slot_plan(materials[slot], shown, chosen, session.seeing.missing)
+        _slot_plan(facts.materials[slot], shown, chosen, session.seeing.missing, why)
         for slot, (shown, chosen) in enumerate(session.outlook(obj, material))
     )
 
 
-def _slot_plan(material: str, shown: Shows, chosen: bool, missing: str) -> SlotPlan:
+def _slot_plan(material: str, shown: Shows, chosen: bool, missing: str, seen: str) -> SlotPlan:
+    """seen: what there is to estimate a relief from."""
     if shown is Shows.RELIEF:
         return SlotPlan(material, Route.MEASURED, "its shader has a relief")
     if shown is Shows.PICTURE and not chosen:
         if missing:
             return SlotPlan(material, Route.PRIOR, missing)
-        return SlotPlan(material, Route.PREDICTED, "no relief, but its colour varies")
+        return SlotPlan(material, Route.PREDICTED, seen)
     if chosen:
         skipped = "; its picture is skipped" if shown is Shows.PICTURE else ""
         return SlotPlan(material, Route.PRIOR, f"{CHOSEN}{skipped}")

@@ -142,7 +142,7 @@ def _open(request: TouchRequest) -> Any:
     import bpy
 
     if request.scene is not None:
-        return open_scene(request.scene)
+        return open_scene(request.scene, request.out / CACHE_NAME)
     if not bpy.data.filepath:
         raise FileError(
             "no scene: no file is open and none was named.",

@@ -6,13 +6,18 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hnf_core.errors import FileError, SceneError
 from hnf_core.files import content_hash
 from hnf_core.material.palette import Palette, build_palette
 from hnf_core.material.token import ENCODER_ID, LEVELS, split_encoders
+from hnf_core.scene.near import mesh_near
+from hnf_core.scene.patch import CAMERA_DISTANCE_M
 
-from ..bridge.storage import UNBAKED, FaceTokens, read_tokens, write_tokens
+from ..bridge.splat_cloud import cloud_of, read_cloud, write_point_tokens
+from ..bridge.splat_frame import cloud_frame
+from ..bridge.storage import UNBAKED, FaceTokens, PointTokens, read_tokens, write_tokens
 from .bake import TouchedObject, encoder_of
 from .feel import BakedStroke
 from .jobs import SurfaceFacts
@@ -34,7 +39,10 @@ def store_tokens(strokes: Sequence[BakedStroke]) -> Iterator[str]:
             yield f"object '{obj.name}' has no mesh of its own: its tokens are not stored in the .blend."
             continue
         try:
-            write_tokens(obj.data, face_tokens(obj.data, group))
+            tokens = face_tokens(obj.data, group)
+            write_tokens(obj.data, tokens)
+            if tokens.points is not None:
+                write_point_tokens(cloud_of(obj), tokens.points)
         except SceneError as error:
             yield str(error)
 
@@ -68,7 +76,36 @@ def face_tokens(mesh: Any, strokes: Sequence[BakedStroke]) -> FaceTokens:
     lookup = np.full(len(tokens) + 1, UNBAKED, dtype=np.int32)
     lookup[used] = merged
     index = lookup[index]  # UNBAKED is −1, the last entry
-    return FaceTokens(palette, index, _roughness(palette, index), confidence, source)
+    points = point_tokens(strokes[0].touched, index, confidence)
+    return FaceTokens(palette, index, _roughness(palette, index), confidence, source, points)
+
+
+def point_tokens(
+    touched: TouchedObject, index: NDArray[np.int32], confidence: NDArray[np.float32]
+) -> PointTokens | None:
+    """Of the splats of a reconstructed surface: each gets what the nearest face has, if no farther than a patch's
+    camera stands off; None where there are no splats. index, confidence: (F,) of the faces of the object's own mesh."""
+    cloud = cloud_of(touched.obj)
+    if cloud is None:
+        return None
+    from hnf_core.scene.splats.nearest import nearest_faces
+
+    mesh, own = touched.surface.mesh, touched.surface.source_face
+    splats = cloud_frame(touched.obj, cloud, touched.surface.stretch).to_surface(read_cloud(cloud).means)
+    face = mesh.face if own is None else own[mesh.face]
+    made = PointTokens(np.full(len(splats), UNBAKED, dtype=np.int32), np.zeros(len(splats), dtype=np.float32))
+    baked = mesh.vertices[mesh.triangles[(face >= 0) & (index[face] != UNBAKED)]].reshape(-1, 3)
+    if len(baked) == 0:
+        return made
+    low, high = baked.min(axis=0) - CAMERA_DISTANCE_M, baked.max(axis=0) + CAMERA_DISTANCE_M
+    here = np.flatnonzero(((splats >= low) & (splats <= high)).all(axis=1))
+    near = mesh_near(mesh, [(low + high) / 2.0], float((high - low).max() / 2.0) + CAMERA_DISTANCE_M)
+    found = nearest_faces(near.vertices, near.triangles, splats[here], CAMERA_DISTANCE_M)
+    here, triangle = here[found.triangle >= 0], found.triangle[found.triangle >= 0]
+    nearest = near.face[triangle] if own is None else own[near.face[triangle]]
+    told = nearest >= 0
+    made.index[here[told]], made.confidence[here[told]] = index[nearest[told]], confidence[nearest[told]]
+    return made
 
 
 def _roughness(palette: Palette, index: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:

@@ -238,6 +238,14 @@ def test_the_handlers_are_for_the_3d_view_only(handler: str, suffix: str) -> Non
     assert not registered.poll_drop(Place(None))
 
 
-def test_blenders_own_ply_import_is_left_alone() -> None:
+def test_a_dropped_mesh_is_left_to_blenders_own_ply_import(tmp_path: Path) -> None:
+    """With two handlers for .ply Blender asks which; ours takes splats alone, and says who takes the rest."""
     handlers = [getattr(bpy.types, name) for name in dir(bpy.types) if name.startswith("HNF_FH_")]
-    assert not [handler for handler in handlers if ".ply" in handler.bl_file_extensions]
+    (own,) = [handler for handler in handlers if ".ply" in handler.bl_file_extensions]
+    assert own.bl_import_operator == "hnf.import_splats"
+    add_plane("Plate")
+    bpy.ops.wm.ply_export(filepath=str(tmp_path / "plate.ply"))
+    before = len(bpy.data.objects)
+    with pytest.raises(RuntimeError, match=r"not splats.*Stanford PLY"):
+        bpy.ops.hnf.import_splats(filepath=str(tmp_path / "plate.ply"))
+    assert len(bpy.data.objects) == before

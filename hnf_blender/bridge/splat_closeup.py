@@ -1,0 +1,202 @@
+"""Close-ups of a reconstructed surface: a patch as its splats show it, beside closeup.py's of what has a shader."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hnf_core.material.material import Appearance
+from hnf_core.scene.camera import Camera
+from hnf_core.scene.patch import Patch
+from hnf_core.scene.raycast import CastView, RayCaster, cast_view
+from hnf_core.scene.splats.cloud import Splats
+from hnf_core.scene.splats.splatter import render_splats
+from hnf_core.scene.splats.view import SplatView
+from hnf_core.scene.view import RgbdView
+
+from .closeup import APPEARANCE_PIXELS, CloseUp, connected, unoccluded, within_reach
+from .look import CODES, UNIFORM_CODES, Look
+from .meshes import Surface, ray_caster
+from .splat_cloud import read_cloud, source_of
+from .splat_frame import CloudFrame, cloud_frame
+
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+OPAQUE = 0.5
+"""Opacity from which a pixel shows the surface, and not a haze in front of nothing."""
+HALF_PASS = np.pi * np.sqrt(2.0 / np.log(2.0))
+"""Wavelength in standard deviations of which a Gaussian leaves a half: exp(−2 π² σ² / λ²) = ½ at λ = 5.34 σ."""
+FINEST_SHARE = 0.1
+"""Share of what is seen of a patch, by area, whose splats are as fine as what the patch is said to resolve."""
+DEEP = 2.0
+"""A splat counts as seen where its centre lies no more than so many of its own standard deviations, along the view,
+behind the surface that is seen there."""
+
+
+def iter_splat_closeups(
+    obj: Any,
+    cloud: Any,
+    patches: Sequence[Patch],
+    *,
+    surface: Surface,
+    caster: RayCaster | None = None,
+    pixels: int = 512,
+) -> Generator[CloseUp, None, None]:
+    """A close-up a patch: colour and depth from the splats, faces from rays on the surface.
+
+    cloud: object with the splats of obj. patches: in the surface frame. Raises SceneError where the splats cannot be
+    read, are scaled unevenly or mirrored.
+    """
+    if not patches:
+        return
+    frame = cloud_frame(obj, cloud, surface.stretch)
+    splats = read_cloud(cloud)
+    surface = surface if caster is not None else within_reach(surface, patches)
+    caster = caster or ray_caster(surface.mesh)
+    source = f"splats of {source_of(cloud)}"
+    for patch in patches:
+        camera, rays = unoccluded(patch, min(pixels, APPEARANCE_PIXELS), caster)
+        cast = cast_view(caster, surface.mesh, camera)
+        camera = replace(patch.camera(pixels), clip_start=camera.clip_start)
+        inside = frame.camera(camera)
+        seen = render_splats(splats, inside)
+        yield _closeup(patch, camera, frame, splats, seen, cast, surface, rays + cast.depth.size, source)
+
+
+def _closeup(
+    patch: Patch,
+    camera: Camera,
+    frame: CloudFrame,
+    splats: Splats,
+    seen: SplatView,
+    cast: CastView,
+    surface: Surface,
+    rays: int,
+    source: str,
+) -> CloseUp:
+    pixel_m = patch.size_m / camera.width
+    depth = np.asarray(seen.depth, dtype=np.float32) * np.float32(frame.metres)
+    slot = np.where(cast.triangle >= 0, surface.mesh.slot[cast.triangle], -1)
+    own = _enlarged(slot == patch.slot, camera) & (seen.opacity >= OPAQUE) & np.isfinite(depth)
+    mask = connected(own, depth, pixel_m)
+    linear = linear_colour(seen)
+    notes = () if mask.any() else (_nothing_seen(surface.object_name),)
+    colour = tuple(float(part) for part in linear[mask].mean(axis=0)) if mask.any() else None
+    return CloseUp(
+        patch=patch,
+        view=RgbdView(camera, linear, depth, _enlarged(cast.face_id, camera), None),
+        height=None,
+        height_source="",
+        appearance=Appearance() if colour is None else Appearance(base_color=(colour[0], colour[1], colour[2])),
+        mask=mask,
+        resolved_wavelength_m=float("inf"),
+        notes=notes,
+        faces=np.unique(cast.face_id[_reduced(mask, cast.face_id.shape) & (cast.face_id >= 0)]),
+        rays=rays,
+        renders=1,
+        look=_look(linear, depth, mask, splats, seen, frame.metres, pixel_m, source),
+    )
+
+
+def linear_colour(seen: SplatView) -> NDArray[np.float32]:
+    """(H, W, 3) linear colour of what is seen, without the black behind it; 0 where nothing is."""
+    opacity = np.asarray(seen.opacity, dtype=np.float32)[..., None]
+    shown = np.clip(seen.rgb / np.maximum(opacity, np.float32(1e-6)), 0.0, 1.0)
+    # IEC 61966-2-1.
+    linear = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
+    return np.where(opacity > 0.0, linear, 0.0).astype(np.float32)
+
+
+def resolved_by_splats(splats: Splats, seen: SplatView, mask: Mask) -> float:
+    """Shortest wave that the picture of a patch shows, in the unit of its camera: what the finest splats pass that
+    together make up FINEST_SHARE of what is seen under mask. inf where no splat is seen there.
+
+    A splat is as fine as its narrower side in the picture, and weighs its opacity times its area there. Seen: its
+    centre lies under mask, not behind what is seen there (DEEP).
+    """
+    camera = seen.camera
+    scale = float(camera.intrinsics[0, 0])
+    uv, depth = camera.project(splats.means)
+    height, width = mask.shape
+    column, row = (np.floor(uv[:, axis]).astype(np.int64) for axis in (0, 1))
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    here = np.flatnonzero(inside)
+    here = here[mask[row[here], column[here]]]
+    if len(here) == 0:
+        return float("inf")
+    wide, narrow, deep = _extents(splats.take(here), camera.pose[:3, :3])
+    front = depth[here] <= seen.depth[row[here], column[here]] + DEEP * deep
+    weight = splats.opacities[here] * np.minimum(wide * narrow, mask.sum() / scale**2) * front
+    if weight.sum() <= 0.0:
+        return float("inf")
+    order = np.argsort(narrow, kind="stable")
+    share = np.cumsum(weight[order]) / weight.sum()
+    finest = narrow[order][np.searchsorted(share, FINEST_SHARE)]
+    return float(max(HALF_PASS * finest, 2.0 / scale))
+
+
+def _extents(splats: Splats, turn: Float) -> tuple[Float, Float, Float]:
+    """Standard deviations (N,) of splats in an orthographic view turned so (camera → frame): along the long and the
+    short side of the ellipse in the picture, and along the view."""
+    w, x, y, z = splats.rotations.astype(np.float64).T / np.linalg.norm(splats.rotations, axis=1)
+    own = np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+    axes = np.einsum("ji,jkn,nk->nik", turn, own, splats.scales.astype(np.float64))
+    spread = np.einsum("nik,njk->nij", axes, axes)
+    mean = (spread[:, 0, 0] + spread[:, 1, 1]) / 2.0
+    apart = np.hypot((spread[:, 0, 0] - spread[:, 1, 1]) / 2.0, spread[:, 0, 1])
+    return np.sqrt(mean + apart), np.sqrt(np.maximum(mean - apart, 0.0)), np.sqrt(spread[:, 2, 2])
+
+
+def _look(
+    linear: NDArray[np.float32],
+    depth: NDArray[np.float32],
+    mask: Mask,
+    splats: Splats,
+    seen: SplatView,
+    metres: float,
+    pixel_m: float,
+    source: str,
+) -> Look | None:
+    if not mask.any():
+        return None
+    rgb = np.rint(CODES * np.sqrt(linear)).astype(np.uint8)
+    if float(rgb[mask].std(axis=0).max()) < UNIFORM_CODES:
+        return None
+    resolved = resolved_by_splats(splats, seen, mask) * metres
+    if not np.isfinite(resolved):
+        return None
+    known = np.where(np.isfinite(depth), depth, np.nan).astype(np.float32)
+    return Look(rgb, known, max(resolved, 2.0 * pixel_m), source)
+
+
+def _enlarged(values: NDArray[Any], camera: Camera) -> NDArray[Any]:
+    """(h, w) of the rays → (H, W) of the picture, each pixel the ray that it is nearest to."""
+    rows = (np.arange(camera.height) * values.shape[0]) // camera.height
+    columns = (np.arange(camera.width) * values.shape[1]) // camera.width
+    return np.asarray(values[rows[:, None], columns])
+
+
+def _reduced(mask: Mask, shape: tuple[int, ...]) -> Mask:
+    """(H, W) of the picture → (h, w) of the rays: where any pixel of a ray's square is in the mask."""
+    rows = (np.arange(mask.shape[0]) * shape[0]) // mask.shape[0]
+    columns = (np.arange(mask.shape[1]) * shape[1]) // mask.shape[1]
+    small = np.zeros(shape, dtype=np.bool_)
+    at = np.nonzero(mask)
+    small[rows[at[0]], columns[at[1]]] = True
+    return small
+
+
+def _nothing_seen(name: str) -> str:
+    return (
+        f"object '{name}': its splats show no surface at some of what is touched; the material there is a guess. Do "
+        "they still lie on the surface, and is it whole there?"
+    )

@@ -1,0 +1,126 @@
+"""How a cloud of splats shows in the viewport: ellipsoids by Geometry Nodes, one set of nodes for all clouds.
+
+Native splats of Blender 5.3 and later are not used: no such Blender could be tried.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .. import compat
+from .splat_cloud import HARMONIC, OPACITY, ROTATION, SCALE
+
+GROUP_NAME = "HNF Splats"
+MODIFIER_NAME = "Splats"
+MATERIAL_NAME = "HNF Splats"
+MOST_SHOWN = 100_000
+"""Ellipsoids of one cloud in the viewport. Each is an instance that every redraw walks over."""
+RADIUS = 1.5
+"""Of an ellipsoid, in standard deviations: they then just close the surface they stand for."""
+CONSTANT_HARMONIC = 0.28209479177387814
+
+
+def show_ellipsoids(cloud: Any) -> None:
+    """Give a cloud its modifier. Of more than MOST_SHOWN splats every second, third, … is shown."""
+    modifier = cloud.modifiers.new(MODIFIER_NAME, "NODES")
+    modifier.node_group = _group()
+    modifier[_input(modifier.node_group, "Every")] = shown_every(len(cloud.data.vertices))
+
+
+def shown_every(count: int) -> int:
+    """1: all of so many splats are shown; 2: every second."""
+    return max(1, -(-count // MOST_SHOWN))
+
+
+def _input(group: Any, name: str) -> str:
+    return next(
+        str(item.identifier)
+        for item in group.interface.items_tree
+        if item.item_type == "SOCKET" and item.in_out == "INPUT" and item.name == name
+    )
+
+
+def _group() -> Any:
+    """The node group, made once in a file."""
+    import bpy
+
+    found = bpy.data.node_groups.get(GROUP_NAME)
+    if found is not None and found.bl_idname == "GeometryNodeTree" and found.library is None:
+        return found
+    group = bpy.data.node_groups.new(GROUP_NAME, "GeometryNodeTree")
+    group.interface.new_socket("Splats", in_out="INPUT", socket_type="NodeSocketGeometry")
+    every = group.interface.new_socket("Every", in_out="INPUT", socket_type="NodeSocketInt")
+    every.default_value = every.min_value = 1
+    group.interface.new_socket("Ellipsoids", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    nodes, link = group.nodes, group.links.new
+    given, result = nodes.new("NodeGroupInput"), nodes.new("NodeGroupOutput")
+    ball = nodes.new("GeometryNodeMeshIcoSphere")
+    ball.inputs["Subdivisions"].default_value, ball.inputs["Radius"].default_value = 1, RADIUS
+    dressed = nodes.new("GeometryNodeSetMaterial")
+    dressed.inputs["Material"].default_value = _material()
+    index, rest = nodes.new("GeometryNodeInputIndex"), nodes.new("FunctionNodeCompare")
+    part = nodes.new("ShaderNodeMath")
+    part.operation, rest.data_type, rest.operation = "MODULO", "FLOAT", "LESS_THAN"
+    rest.inputs["B"].default_value = 0.5
+    instances = nodes.new("GeometryNodeInstanceOnPoints")
+    link(ball.outputs["Mesh"], dressed.inputs["Geometry"])
+    link(index.outputs[0], part.inputs[0])
+    link(given.outputs["Every"], part.inputs[1])
+    link(part.outputs[0], rest.inputs["A"])
+    link(rest.outputs["Result"], instances.inputs["Selection"])
+    link(given.outputs["Splats"], instances.inputs["Points"])
+    link(dressed.outputs["Geometry"], instances.inputs["Instance"])
+    link(_named(nodes, ROTATION, "QUATERNION"), instances.inputs["Rotation"])
+    link(_named(nodes, SCALE, "FLOAT_VECTOR"), instances.inputs["Scale"])
+    link(instances.outputs["Instances"], result.inputs["Ellipsoids"])
+    for column, node in enumerate(nodes):
+        node.location = (column * 180.0, 0.0)
+    return group
+
+
+def _named(nodes: Any, name: str, kind: str) -> Any:
+    node = nodes.new("GeometryNodeInputNamedAttribute")
+    node.data_type = kind
+    node.inputs["Name"].default_value = name
+    return next(output for output in node.outputs if output.enabled and output.name == "Attribute")
+
+
+def _material() -> Any:
+    """The splats' own colour, unlit: the harmonics' constant part, which is what is left of them without a view."""
+    import bpy
+
+    found = bpy.data.materials.get(MATERIAL_NAME)
+    if found is not None and found.library is None:
+        return found
+    material = bpy.data.materials.new(MATERIAL_NAME)
+    compat.switch_nodes_on(material)
+    tree = material.node_tree
+    tree.nodes.clear()
+    constant, opacity = (_instance_attribute(tree, name) for name in (HARMONIC.format(0), OPACITY))
+    colour = tree.nodes.new("ShaderNodeVectorMath")
+    colour.operation = "MULTIPLY_ADD"
+    colour.inputs[1].default_value, colour.inputs[2].default_value = (CONSTANT_HARMONIC,) * 3, (0.5,) * 3
+    shown = tree.nodes.new("ShaderNodeVectorMath")
+    shown.operation = "MAXIMUM"
+    linear = tree.nodes.new("ShaderNodeGamma")
+    linear.inputs["Gamma"].default_value = 2.2
+    glow, clear = tree.nodes.new("ShaderNodeEmission"), tree.nodes.new("ShaderNodeBsdfTransparent")
+    mix, output = tree.nodes.new("ShaderNodeMixShader"), tree.nodes.new("ShaderNodeOutputMaterial")
+    link = tree.links.new
+    link(constant.outputs["Vector"], colour.inputs[0])
+    link(colour.outputs["Vector"], shown.inputs[0])
+    link(shown.outputs["Vector"], linear.inputs["Color"])
+    link(linear.outputs["Color"], glow.inputs["Color"])
+    link(opacity.outputs["Fac"], mix.inputs[0])
+    link(clear.outputs[0], mix.inputs[1])
+    link(glow.outputs[0], mix.inputs[2])
+    link(mix.outputs[0], output.inputs["Surface"])
+    for column, node in enumerate(tree.nodes):
+        node.location = (column * 180.0, 0.0)
+    return material
+
+
+def _instance_attribute(tree: Any, name: str) -> Any:
+    node = tree.nodes.new("ShaderNodeAttribute")
+    node.attribute_type, node.attribute_name = "INSTANCER", name
+    return node
