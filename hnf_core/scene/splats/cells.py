@@ -4,6 +4,7 @@ box around it."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +56,7 @@ def grown(grid: Grid, keys: Int, reach: int) -> Int:
     return keys
 
 
-def connected(count: int, first: NDArray[np.integer], second: NDArray[np.integer]) -> NDArray[np.int64]:
+def connected(count: int, first: NDArray[np.integer[Any]], second: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
     """Labels (count,) of the connected parts of a graph with edges first–second: the lowest number in each part.
 
     Hooking and pointer jumping (Shiloach & Vishkin 1982): some log(count) passes over all edges.

@@ -135,7 +135,7 @@ def _parts(places: Float, spacing: float, opacity: Float) -> _Parts:
     grid, keys = _keys(places, spacing)
     cells, which = np.unique(keys, return_inverse=True)
     which = which.reshape(-1)
-    held = np.bincount(which, weights=opacity)
+    held = np.bincount(which, weights=opacity).astype(np.float64)
     around = held.copy()
     first, second = [], []
     steps = [grid.step((x, y, z)) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
@@ -147,5 +147,5 @@ def _parts(places: Float, spacing: float, opacity: Float) -> _Parts:
         first.append(near)
         second.append(other[near])
     label = connected(len(cells), np.concatenate(first), np.concatenate(second))
-    mass = np.bincount(label, weights=held, minlength=len(cells))[label]
+    mass = np.bincount(label, weights=held, minlength=len(cells)).astype(np.float64)[label]
     return _Parts(mass[which], around[which])

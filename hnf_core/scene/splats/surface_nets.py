@@ -4,6 +4,7 @@ Elastic Surface Nets), over the samples that are known."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ class Samples:
 
     grid: Grid
     keys: Int
-    values: NDArray[np.floating]
+    values: NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,113 @@
+"""Depth pictures that can be asked about any point: how far in front of the seen surface it lies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import Camera
+from .view import SplatView
+
+Single = NDArray[np.float32]
+Bool = NDArray[np.bool_]
+
+SEEN = 0.5
+"""Opacity from which a pixel shows a surface."""
+AGREEMENT = 3.0
+"""Pixels by which expected and median depth may differ where the light stops at one surface."""
+
+
+@dataclass(frozen=True)
+class Sight:
+    """An orthographic depth picture, prepared for questions; lengths in pixels' sides.
+
+    depth: (H, W) float32, inf = nothing. slope: (H, W, 2) depth's growth per pixel to the right and down, the flatter
+    of the two one-sided ones: none across an edge. cosine: (H, W) of the angle between view and surface. opacity:
+    (H, W). rgb: (H, W, 3) linear colour, as if opaque.
+    """
+
+    camera: Camera
+    depth: Single
+    slope: Single
+    cosine: Single
+    opacity: Single
+    rgb: Single
+
+    def nearest_within(self, reach: int) -> Single:
+        """(H, W) the least depth among the pixels at most reach away along both axes."""
+        least = self.depth
+        for axis in (0, 1):
+            length = least.shape[axis]
+            border = [(reach, reach) if each == axis else (0, 0) for each in (0, 1)]
+            wide = np.pad(least, border, constant_values=np.inf)
+            shifted = [np.take(wide, range(by, by + length), axis=axis) for by in range(2 * reach + 1)]
+            least = np.minimum.reduce(shifted)
+        return least
+
+
+@dataclass(frozen=True)
+class Glance:
+    """What one sight says of n points. pixel: (n,) flat number of the pixel, -1 outside the picture. ahead: (n,) how
+    far the point lies in front of the surface there along the view, inf = no surface. depth: (n,) of the point."""
+
+    pixel: NDArray[np.intp]
+    ahead: Single
+    depth: Single
+
+
+def sight(view: SplatView, *, kind: str = "mixed") -> Sight:
+    """Of an orthographic view with square pixels of side 1.
+
+    The surface lies at the median depth where the light stops at several surfaces (at an outline, the expected depth
+    lies between them), and at the expected depth where it stops at one, which is smoother than the depth of a single
+    splat. kind: "mixed", or one of the two alone ("median", "expected").
+    """
+    expected, median = view.depth.astype(np.float32), view.median.astype(np.float32)
+    seen = (view.opacity >= SEEN) & np.isfinite(median)
+    with np.errstate(invalid="ignore"):
+        one = np.abs(expected - median) <= AGREEMENT
+    chosen = {"mixed": np.where(one, expected, median), "median": median, "expected": expected}[kind]
+    depth = np.where(seen, chosen, np.float32(np.inf)).astype(np.float32)
+    slope = np.stack([_slope(depth, 1), _slope(depth, 0)], axis=-1)
+    cosine = 1.0 / np.sqrt(1.0 + np.sum(slope * slope, axis=-1))
+    colour = view.rgb / np.maximum(view.opacity, np.float32(1e-6))[..., None]
+    return Sight(view.camera, depth, slope, cosine, view.opacity.astype(np.float32), linear(colour))
+
+
+def linear(display: NDArray[np.floating[Any]]) -> Single:
+    """sRGB (IEC 61966-2-1) → linear, clipped to [0, 1]."""
+    value = np.clip(display, 0.0, 1.0)
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def glance(of: Sight, points: NDArray[np.floating[Any]]) -> Glance:
+    """points: (n, 3) in the camera's frame."""
+    axes = of.camera.pose[:3, :3].astype(np.float32)
+    local = np.asarray(points, dtype=np.float32) @ axes - (of.camera.pose[:3, 3] @ of.camera.pose[:3, :3]).astype(
+        np.float32
+    )
+    u = local[:, 0] + np.float32(of.camera.intrinsics[0, 2])
+    v = local[:, 1] + np.float32(of.camera.intrinsics[1, 2])
+    column, row = np.floor(u).astype(np.intp), np.floor(v).astype(np.intp)
+    height, width = of.depth.shape
+    within = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    pixel = np.where(within, row * width + column, 0)
+    slope = of.slope.reshape(-1, 2)[pixel]
+    surface = of.depth.reshape(-1)[pixel]
+    surface = surface + slope[:, 0] * (u - column - np.float32(0.5)) + slope[:, 1] * (v - row - np.float32(0.5))
+    ahead = np.where(within, surface - local[:, 2], np.float32(np.inf))
+    return Glance(np.where(within, pixel, -1), ahead, local[:, 2])
+
+
+def _slope(depth: Single, axis: int) -> Single:
+    """The smaller of the differences to both neighbours, zero where neither is a number."""
+    with np.errstate(invalid="ignore"):
+        step = np.diff(depth, axis=axis)
+    nothing = np.full_like(np.take(step, [0], axis=axis) if step.size else np.take(depth, [0], axis=axis), np.inf)
+    step = np.where(np.isfinite(step), step, np.float32(np.inf))
+    before, after = np.concatenate([nothing, step], axis=axis), np.concatenate([step, nothing], axis=axis)
+    flatter = np.where(np.abs(before) < np.abs(after), before, after)
+    return np.where(np.isfinite(flatter), flatter, np.float32(0.0)).astype(np.float32)
