@@ -106,15 +106,15 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("scene", type=Path)
     made.add_argument("--out", type=Path, required=True, help="the .ply to write (INRIA layout)")
     made.add_argument("--object", action="append", default=[], metavar="NAME", help="only this object; may be repeated")
-    made.add_argument("--spacing", type=_metres, default=SPACING_M, metavar="M", help="metres (default: %(default)s)")
-    made.add_argument("--fine", type=_metres, default=FINE_M, metavar="M", help="on patches (default: %(default)s)")
+    made.add_argument("--spacing", type=metres, default=SPACING_M, metavar="M", help="metres (default: %(default)s)")
+    made.add_argument("--fine", type=metres, default=FINE_M, metavar="M", help="on patches (default: %(default)s)")
     made.add_argument("--touched", action="store_true", help="fine on what the scene's strokes touch")
     made.add_argument("--patch", type=_place, action="append", default=[], metavar="X,Y,Z", help="fine around it too")
     made.add_argument("--seed", type=int, default=0)
     return made
 
 
-def _metres(text: str) -> float:
+def metres(text: str) -> float:
     value = float(text)
     if not 1e-6 <= value <= 1e3:
         raise argparse.ArgumentTypeError(f"{text} m is no spacing")

@@ -13,10 +13,11 @@ from hnf_core.errors import FileError, SceneError
 from hnf_core.scene.ply_header import read_ply_header
 from hnf_core.scene.splats.read import check_splat_file
 
+from .nerfstudio import open_export
 from .painted import show_painted
 from .quiet import quiet
 
-SUFFIXES = (".blend", ".gltf", ".glb", ".obj", ".ply", ".usd", ".usda", ".usdc", ".usdz", ".fbx")
+SUFFIXES = (".blend", ".gltf", ".glb", ".obj", ".ply", ".usd", ".usda", ".usdc", ".usdz", ".fbx", ".json")
 SPLAT_SUFFIXES = (".splat", ".ksplat", ".spz", ".sog")
 # A curve may be a stroke, a light or camera is nothing to touch; an empty may stand for a collection of meshes.
 TOUCHABLE_TYPES = ("MESH", "SURFACE", "META", "FONT", "CURVE", "CURVES", "EMPTY")
@@ -49,6 +50,8 @@ def open_scene(path: Path, cache: Path | None = None) -> Any:
                 remedy="Save the file with the right scene active.",
             )
         return scene
+    if suffix == ".json":
+        return open_export(path, lambda geometry: open_scene(geometry, cache))
     if suffix == ".ply" and read_ply_header(path).is_splat:
         return _open_splats(path, cache)
     empty_scene()
@@ -56,7 +59,7 @@ def open_scene(path: Path, cache: Path | None = None) -> Any:
     _run(path, lambda: importer(filepath=str(path)))
     scene = bpy.context.scene
     _check_import(scene, path)
-    if suffix == ".ply":
+    if suffix in {".ply", ".obj"}:
         for obj in scene.objects:
             show_painted(obj)
     return scene

@@ -17,15 +17,20 @@ def grey_png(pixels: NDArray[np.uint8]) -> bytes:
     return _png(pixels, GREY)
 
 
+def deep_grey_png(pixels: NDArray[np.uint16]) -> bytes:
+    """The same of (H, W) uint16 values, all 16 bits kept."""
+    return _png(np.asarray(pixels, dtype=">u2"), GREY, 16)
+
+
 def colour_png(pixels: NDArray[np.uint8]) -> bytes:
     """The same of (H, W, 3) uint8 sRGB values."""
     return _png(pixels, TRUECOLOUR)
 
 
-def _png(pixels: NDArray[np.uint8], colour_type: int) -> bytes:
+def _png(pixels: NDArray[np.unsignedinteger], colour_type: int, bits: int = 8) -> bytes:
     height, width = pixels.shape[:2]
     rows = b"".join(b"\0" + row.tobytes() for row in np.ascontiguousarray(pixels))  # filter 0: as they are
-    head = struct.pack(">IIBBBBB", width, height, 8, colour_type, 0, 0, 0)
+    head = struct.pack(">IIBBBBB", width, height, bits, colour_type, 0, 0, 0)
     chunks = [(b"IHDR", head), (b"IDAT", zlib.compress(rows, 9)), (b"IEND", b"")]
     return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(tag, body) for tag, body in chunks)
 
