@@ -55,7 +55,8 @@ def test_densities_are_what_windows_of_the_natural_form_average_to() -> None:
     still = uniform_stroke(steady_action(8.0, 0.1, 1.0, 0.4), material.token, material.mechanics)
     expected = expected_densities(field, still, 400)
     assert expected.shape == (5, 100)
-    assert np.ptp(expected[1:], axis=0).max() == pytest.approx(0.0, abs=1e-12)
+    # Equal states in other rows of a float32 product: some machines' kernels round the last rows otherwise.
+    assert np.ptp(expected[1:], axis=0).max() < 1e-5 * expected.max()
     measured = np.mean(
         [welch(synthesise(field, still, seed=seed).signal.samples, 10_000.0)[1][1:101] for seed in range(3)], axis=0
     )
