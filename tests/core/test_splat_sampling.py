@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scene_splats.sampling import along_a_curve, pieces_near, sample_mesh, triangle_sequence
+from scene_splats.sampling import along_a_curve, pieces_of, sample_mesh, spread, triangle_sequence
 
 from hnf_core.scene.mesh import TriangleMesh
 
@@ -47,11 +47,10 @@ def test_points_that_follow_each_other_lie_in_equal_parts(start, digits) -> None
 
 @few
 @given(triangles(), st.integers(0, 100))
-def test_every_triangle_gets_its_share_of_the_area(corners, seed) -> None:
-    mesh = mesh_of(corners)
+def test_every_piece_gets_its_share_of_the_area(corners, seed) -> None:
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     spacing = np.sqrt(area.sum() / 500.0)
-    found = sample_mesh(mesh, spacing, seed)
+    found = spread(np.arange(len(corners)), corners, spacing, np.random.default_rng(seed))
     assert abs(len(found) - 500) <= 1
     counts = np.bincount(found.triangle, minlength=len(corners))
     assert np.abs(counts - len(found) * area / area.sum()).max() < 1.0 + 1e-9
@@ -83,6 +82,19 @@ def test_a_plane_has_neither_holes_nor_heaps() -> None:
     assert np.mean(away > 0.9 * 4e-3) < 0.02
 
 
+def test_a_strip_has_no_holes_either() -> None:
+    """A side of 0.1 m in triangles 1 mm wide, as round things have."""
+    x = np.linspace(-0.05, 0.05, 101)
+    low, high = ([[place, -0.05, 0.0] for place in x], [[place, 0.05, 0.0] for place in x])
+    strips = [[low[i], low[i + 1], high[i]] for i in range(100)] + [
+        [low[i + 1], high[i + 1], high[i]] for i in range(100)
+    ]
+    found = sample_mesh(mesh_of(strips), 4e-3, seed=3)
+    places = np.random.default_rng(0).uniform(-0.048, 0.048, (1500, 2))
+    away = np.linalg.norm(places[:, None] - found.position[None, :, :2], axis=2).min(axis=1)
+    assert away.max() < 1.5 * 4e-3
+
+
 def test_it_is_finer_around_a_place_and_nowhere_else() -> None:
     place, reach = np.array([0.02, 0.01, 0.0]), 0.01
     found = sample_mesh(square(), 4e-3, 0, places=[place], reach_m=reach, fine_m=0.5e-3)
@@ -101,22 +113,31 @@ def test_equal_seeds_give_equal_points_and_others_do_not() -> None:
 
 
 @few
-@given(triangles(), st.integers(0, 2**32), st.floats(0.05, 0.5))
+@given(triangles(), st.floats(0.1, 0.5))
+def test_pieces_are_the_triangle_again(corners, share) -> None:
+    longest = share * float(np.ptp(corners, axis=(0, 1)).max())
+    triangle, pieces = pieces_of(corners, longest)
+    assert np.linalg.norm(pieces - np.roll(pieces, 1, axis=1), axis=2).max() <= longest
+
+    def doubled_area(of):
+        return np.cross(of[:, 1] - of[:, 0], of[:, 2] - of[:, 0])
+
+    total = np.zeros((len(corners), 3))
+    np.add.at(total, triangle, doubled_area(pieces))  # with its sign: nothing overlaps, nothing is turned over
+    np.testing.assert_allclose(total, doubled_area(corners), atol=1e-9 * np.abs(total).max())
+
+
+@few
+@given(triangles(), st.integers(0, 2**32), st.floats(0.05, 0.3))
 def test_pieces_around_a_place_hold_all_that_is_near_it(corners, seed, share) -> None:
-    random = np.random.default_rng(seed)
     reach = share * float(np.ptp(corners, axis=(0, 1)).max())
-    which = random.integers(len(corners), size=200)
-    weights = random.dirichlet([1.0, 1.0, 1.0], size=200)
-    points = np.einsum("nc,ncx->nx", weights, corners[which])
-    middle = points[0] + 0.3 * reach
-    triangle, pieces = pieces_near(corners, middle[None], reach, 0.5 * reach)
-    np.testing.assert_allclose(pieces.sum(axis=2), 1.0)
-    sides = pieces @ corners[triangle]
-    assert np.linalg.norm(sides - np.roll(sides, 1, axis=1), axis=2).max(initial=0.0) <= 0.5 * reach
-    for index in np.flatnonzero(np.linalg.norm(points - middle, axis=1) <= reach):
-        own = pieces[triangle == which[index]]
-        inside = np.linalg.solve(np.swapaxes(own, 1, 2), np.broadcast_to(weights[index][:, None], (len(own), 3, 1)))
-        assert (inside > -1e-9).all(axis=(1, 2)).any()
+    middle = np.einsum("c,cx->x", np.random.default_rng(seed).dirichlet([1.0, 1.0, 1.0]), corners[0]) + 0.3 * reach
+    every, near = pieces_of(corners, 0.5 * reach), pieces_of(corners, 0.5 * reach, middle[None], reach)
+    close = np.linalg.norm(every[1].mean(axis=1) - middle, axis=1) <= reach
+    # Pieces come by the triangle and the cut, so that equal ones are equal to the last bit.
+    kept = {piece.tobytes() for piece in near[1]}
+    assert all(piece.tobytes() in kept for piece in every[1][close])
+    assert np.linalg.norm(near[1] - middle, axis=2).min(axis=1, initial=np.inf).max(initial=0.0) <= 1.5 * reach
 
 
 def test_neighbours_along_the_curve_are_neighbours() -> None:

@@ -20,7 +20,7 @@ from .sampling import Samples, sample_mesh
 
 Float = NDArray[np.float64]
 
-ACROSS, THICK = 0.6, 0.06
+ACROSS, THICK = 0.65, 0.06
 """Standard deviations along and across the surface, in spacings."""
 OPACITY = 0.95
 REACH_M = 0.8 * PATCH_SIZE_M

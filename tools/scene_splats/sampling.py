@@ -14,8 +14,8 @@ Float = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 START_DIGITS = 8
-FINE_PIECE = 4.0
-"""A piece around a place is at most so many radii long: little is sampled that is thrown away."""
+PIECE = 4.0
+"""A piece's sides are at most so many spacings long: the sequence is even in a square, and stretched in a sliver."""
 CORNERS = np.array([[[1, 1, 0], [1, 0, 1], [0, 1, 1]], [[2, 0, 0], [1, 1, 0], [1, 0, 1]],
                     [[1, 1, 0], [0, 2, 0], [0, 1, 1]], [[1, 0, 1], [0, 1, 1], [0, 0, 2]]]) / 2.0  # fmt: skip
 """Corners of a triangle's four quarters in its own barycentric coordinates, the middle one first."""
@@ -47,41 +47,46 @@ def sample_mesh(
     """Points spacing_m apart on all of mesh, and fine_m apart within reach_m of the places (n, 3)."""
     random = np.random.default_rng(seed)
     corners = mesh.corner_positions()
-    whole = np.arange(len(corners))
-    coarse = _sampled(corners, whole, np.broadcast_to(np.eye(3), (len(corners), 3, 3)), spacing_m, random)
+    coarse = spread(*pieces_of(corners, PIECE * spacing_m), spacing_m, random)
     if fine_m is None or not len(places):
         return coarse
     middles = np.asarray(places, dtype=np.float64).reshape(-1, 3)
-    triangle, weights = pieces_near(corners, middles, reach_m, FINE_PIECE * reach_m)
-    fine = _sampled(corners, triangle, weights, fine_m, random)
+    fine = spread(*pieces_of(corners, PIECE * fine_m, middles, reach_m), fine_m, random)
     near_coarse, near_fine = (_near(each.position, middles, reach_m) for each in (coarse, fine))
     parts = [_taken(coarse, ~near_coarse), _taken(fine, near_fine)]
     return Samples(*(np.concatenate([getattr(part, name) for part in parts])
                      for name in ("triangle", "position", "normal", "spacing")))  # fmt: skip
 
 
-def pieces_near(corners: Float, middles: Float, reach_m: float, longest_m: float) -> tuple[Index, Float]:
-    """The parts of triangles (T, 3, 3) that may come within reach_m of a middle (n, 3), no side longer than longest_m:
-    which triangle each is of (P,), and its corners' barycentric coordinates (P, 3, 3) there."""
+def pieces_of(
+    corners: Float, longest_m: float, middles: Float | None = None, reach_m: float = 0.0
+) -> tuple[Index, Float]:
+    """Triangles (T, 3, 3) cut until no side is longer than longest_m: which one each piece is of (P,), and the pieces'
+    corners (P, 3, 3). With middles (n, 3): only what may come within reach_m of one."""
     triangle = np.arange(len(corners))
-    weights = np.broadcast_to(np.eye(3), (len(corners), 3, 3))
-    done_triangle, done_weights = [np.zeros(0, np.intp)], [np.zeros((0, 3, 3))]
-    while len(triangle):
-        points = weights @ corners[triangle]
-        low, high = points.min(axis=1), points.max(axis=1)
-        meets = np.zeros(len(points), dtype=bool)
-        for middle in middles:
-            meets |= np.linalg.norm(np.clip(middle, low, high) - middle, axis=1) <= reach_m
-        triangle, weights, points = triangle[meets], weights[meets], points[meets]
-        sides = np.linalg.norm(points - np.roll(points, 1, axis=1), axis=2).max(axis=1, initial=0.0)
-        small = sides <= longest_m
-        done_triangle.append(triangle[small])
-        done_weights.append(weights[small])
-        triangle = np.repeat(triangle[~small], 4)
-        weights = (CORNERS[None] @ weights[~small][:, None]).reshape(-1, 3, 3)
-    return np.concatenate(done_triangle or [np.zeros(0, np.intp)]), np.concatenate(
-        done_weights or [np.zeros((0, 3, 3))]
-    )
+    done: list[tuple[Index, Float]] = [(np.zeros(0, np.intp), np.zeros((0, 3, 3)))]
+    while len(corners):
+        if middles is not None:
+            low, high = corners.min(axis=1), corners.max(axis=1)
+            meets = np.zeros(len(corners), dtype=bool)
+            for middle in middles:
+                meets |= np.linalg.norm(np.clip(middle, low, high) - middle, axis=1) <= reach_m
+            triangle, corners = triangle[meets], corners[meets]
+        sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+        small = sides.max(axis=1, initial=0.0) <= longest_m
+        done.append((triangle[small], corners[small]))
+        triangle = np.repeat(triangle[~small], 2)
+        corners = _halved(corners[~small], sides[~small].argmax(axis=1))
+    triangles, pieces = zip(*done, strict=True)
+    return np.concatenate(triangles), np.concatenate(pieces)
+
+
+def _halved(corners: Float, side: Index) -> Float:
+    """(2n, 3, 3): triangles (n, 3, 3), each cut from the middle of the side that begins at corner side to the corner
+    beyond. The longest side alone is cut, or slivers would become as many pieces as squares."""
+    first, second, third = (corners[np.arange(len(corners)), (side + step) % 3] for step in range(3))
+    middle = (first + second) / 2.0
+    return np.stack([first, middle, third, middle, second, third], axis=1).reshape(-1, 3, 3)
 
 
 def triangle_sequence(index: Index) -> Float:
@@ -96,8 +101,9 @@ def triangle_sequence(index: Index) -> Float:
     return np.asarray(place.mean(axis=1))
 
 
-def _sampled(corners: Float, triangle: Index, weights: Float, spacing_m: float, random: np.random.Generator) -> Samples:
-    points = weights @ corners[triangle]
+def spread(triangle: Index, points: Float, spacing_m: float, random: np.random.Generator) -> Samples:
+    """Points spacing_m apart on pieces (P, 3, 3) of triangles (P,): each piece has its share of the area, give or take
+    less than one."""
     cross = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
     area = 0.5 * np.linalg.norm(cross, axis=1)
     order = along_a_curve(points.mean(axis=1))
