@@ -17,7 +17,8 @@ class Camera:
 
     width, height: pixels. intrinsics: (3, 3) float64; a perspective camera divides by z, an orthographic one
     does not (its focal entries are pixels per metre). pose: (4, 4) camera→world, rigid, metres.
-    clip_start, clip_end: metres along +z. Pixel centres lie at +0.5.
+    clip_start, clip_end: metres along +z. Pixel centres lie at +0.5. whole: left, top, right and bottom of the picture
+    that this one was cropped from, in pixels of this one; None: it is whole.
     """
 
     kind: Literal["perspective", "orthographic"]
@@ -27,6 +28,12 @@ class Camera:
     pose: Float
     clip_start: float = 0.0
     clip_end: float = float("inf")
+    whole: tuple[float, float, float, float] | None = None
+
+    @property
+    def frame(self) -> tuple[float, float, float, float]:
+        """Left, top, right and bottom of the whole picture, in pixels of this one."""
+        return self.whole or (0.0, 0.0, float(self.width), float(self.height))
 
     def project(self, points: ArrayLike) -> tuple[Float, Float]:
         """World points (..., 3) → pixel coordinates (..., 2) and planar depth z (...,)."""
@@ -65,7 +72,9 @@ class Camera:
         if width < 1 or height < 1 or left < 0 or top < 0 or left + width > self.width or top + height > self.height:
             raise ValueError(f"{width} x {height} at {left}, {top} is no part of {self.width} x {self.height} pixels")
         intrinsics = self.intrinsics - np.array([[0.0, 0.0, left], [0.0, 0.0, top], [0.0, 0.0, 0.0]])
-        return replace(self, width=width, height=height, intrinsics=intrinsics)
+        x0, y0, x1, y1 = self.frame
+        whole = (x0 - left, y0 - top, x1 - left, y1 - top)
+        return replace(self, width=width, height=height, intrinsics=intrinsics, whole=whole)
 
 
 def orthographic(

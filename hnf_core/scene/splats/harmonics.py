@@ -1,0 +1,74 @@
+"""Colour of splats by the direction they are seen from: real spherical harmonics up to degree 3, with the constants,
+signs and order of the INRIA code (Kerbl et al. 2023; Sloan 2013, Efficient Spherical Harmonic Evaluation)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..camera import Camera
+
+Floats = NDArray[np.floating[Any]]
+
+C0 = 0.28209479177387814
+C1 = 0.4886025119029199
+C2 = (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
+C3 = (
+    -0.5900435899266435,
+    2.890611442640554,
+    -0.4570457994644658,
+    0.3731763325901154,
+    -0.4570457994644658,
+    1.445305721320277,
+    -0.5900435899266435,
+)
+
+
+def directions(means: Floats, camera: Camera) -> Floats:
+    """(N, 3) unit vectors from the camera's centre to points (N, 3), in their frame and number type; for an
+    orthographic camera its forward axis. Zero for a point in the camera's centre."""
+    if camera.kind == "orthographic":
+        return np.broadcast_to(camera.pose[:3, 2].astype(means.dtype), means.shape)
+    offset = (means - camera.pose[:3, 3]).astype(means.dtype)
+    length = np.sqrt(offset[:, 0] ** 2 + offset[:, 1] ** 2 + offset[:, 2] ** 2)
+    return np.asarray(offset / np.where(length > 0.0, length, 1.0)[:, None])
+
+
+def basis(towards: Floats, degree: int) -> list[Floats]:
+    """The (degree + 1)² harmonics of unit vectors (N, 3), each (N,)."""
+    x, y, z = towards[:, 0], towards[:, 1], towards[:, 2]
+    found: list[Floats] = [np.full(len(towards), C0, dtype=towards.dtype)]
+    if degree > 0:
+        found += [-C1 * y, C1 * z, -C1 * x]
+    if degree > 1:
+        xx, yy, zz = x * x, y * y, z * z
+        found += [
+            C2[0] * x * y,
+            C2[1] * y * z,
+            C2[2] * (2.0 * zz - xx - yy),
+            C2[3] * x * z,
+            C2[4] * (xx - yy),
+        ]
+    if degree > 2:
+        found += [
+            C3[0] * y * (3.0 * xx - yy),
+            C3[1] * x * y * z,
+            C3[2] * y * (4.0 * zz - xx - yy),
+            C3[3] * z * (2.0 * zz - 3.0 * xx - 3.0 * yy),
+            C3[4] * x * (4.0 * zz - xx - yy),
+            C3[5] * z * (xx - yy),
+            C3[6] * x * (xx - 3.0 * yy),
+        ]
+    return found
+
+
+def colours(harmonics: Floats, towards: Floats) -> Floats:
+    """(N, 3) display-referred colour, 0.5 + Σ Y c and no less than 0, of coefficients (N, (L + 1)², 3) seen along unit
+    vectors (N, 3). One coefficient after the other, so that a splat's colour does not depend on its neighbours."""
+    degree = round(harmonics.shape[1] ** 0.5) - 1
+    total = np.full((len(harmonics), 3), 0.5, dtype=harmonics.dtype)
+    for k, value in enumerate(basis(towards, degree)):
+        total += value[:, None] * harmonics[:, k]
+    return np.maximum(total, 0.0)

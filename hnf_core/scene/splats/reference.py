@@ -1,0 +1,47 @@
+"""What splats look like, by the plainest code there is: the definition that the fast way is held to."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..camera import Camera
+from .cloud import Splats
+from .harmonics import colours, directions
+from .project import LOW_PASS_PX2, MOST_ALPHA, footprints
+from .spans import form
+from .view import SplatView
+
+
+def render_reference(splats: Splats, camera: Camera, *, low_pass: float = LOW_PASS_PX2) -> SplatView:
+    """The view of a camera in the splats' own frame and unit, in float64, one splat after the other from the nearest:
+    α = min(0.99, o exp(−q / 2)) at each pixel of its box, left out where o exp(−q / 2) < 1/255; w = α T, T ← T (1 − α),
+    and never an early end. low_pass: pixels², added to the variance of every splat. Raises UsageError for one that is
+    negative or not finite."""
+    prints = footprints(splats, camera, low_pass)
+    colour = colours(
+        splats.harmonics[prints.index].astype(np.float64),
+        directions(splats.means[prints.index].astype(np.float64), camera),
+    )
+    shape = (camera.height, camera.width)
+    light, rgb, weighted = np.ones(shape), np.zeros((*shape, 3)), np.zeros(shape)
+    median, pairs = np.full(shape, np.inf), 0
+    for i in range(len(prints)):
+        y = np.arange(prints.top[i], prints.bottom[i])[:, None]
+        x = np.arange(prints.left[i], prints.right[i])[None, :]
+        steep, across, along = form(prints, np.array(i), y)
+        offset = (x + 0.5) - across
+        q = steep + prints.sharp[i] * (offset * offset)
+        covered = q <= prints.limit[i]
+        alpha = np.where(covered, np.minimum(MOST_ALPHA, prints.opacity[i] * np.exp(-0.5 * q)), 0.0)
+        z = prints.depth[i] + prints.rise_x[i] * ((x + 0.5) - prints.u[i]) + prints.rise_y[i] * along
+        box = np.s_[prints.top[i] : prints.bottom[i], prints.left[i] : prints.right[i]]
+        before = light[box]
+        after = before * (1.0 - alpha)
+        rgb[box] += (alpha * before)[..., None] * colour[i]
+        weighted[box] += alpha * before * z
+        median[box] = np.where((before > 0.5) & (after <= 0.5), z, median[box])
+        light[box] = after
+        pairs += int(covered.sum())
+    opacity = 1.0 - light
+    depth = np.where(opacity > 0.0, weighted / np.where(opacity > 0.0, opacity, 1.0), np.inf)
+    return SplatView(camera, rgb, depth, median, opacity, len(prints), pairs)
