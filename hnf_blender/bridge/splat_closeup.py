@@ -17,6 +17,7 @@ from hnf_core.scene.splats.cloud import Splats
 from hnf_core.scene.splats.splatter import render_splats
 from hnf_core.scene.splats.view import SplatView
 from hnf_core.scene.view import RgbdView
+from hnf_core.tactile.height import fill_masked
 
 from .closeup import APPEARANCE_PIXELS, CloseUp, connected, unoccluded, within_reach
 from .look import CODES, UNIFORM_CODES, Look
@@ -82,9 +83,11 @@ def _closeup(
     pixel_m = patch.size_m / camera.width
     depth = np.asarray(seen.depth, dtype=np.float32) * np.float32(frame.metres)
     slot = np.where(cast.triangle >= 0, surface.mesh.slot[cast.triangle], -1)
-    own = _enlarged(slot == patch.slot, camera) & (seen.opacity >= OPAQUE) & np.isfinite(depth)
-    mask = connected(own, depth, pixel_m)
-    linear = linear_colour(seen)
+    own = _enlarged(slot == patch.slot, camera)
+    shown = own & (seen.opacity >= OPAQUE) & np.isfinite(depth)
+    mask, linear = connected(shown, depth, pixel_m), linear_colour(seen)
+    resolved = resolved_by_splats(splats, seen, mask) * frame.metres
+    mask, linear, depth = without_pinholes(mask, shown, own, linear, depth, seen.opacity, resolved, pixel_m)
     notes = () if mask.any() else (_nothing_seen(surface.object_name),)
     colour = tuple(float(part) for part in linear[mask].mean(axis=0)) if mask.any() else None
     return CloseUp(
@@ -99,8 +102,49 @@ def _closeup(
         faces=np.unique(cast.face_id[_reduced(mask, cast.face_id.shape) & (cast.face_id >= 0)]),
         rays=rays,
         renders=1,
-        look=_look(linear, depth, mask, splats, seen, frame.metres, pixel_m, source),
+        look=_look(linear, depth, mask, resolved, pixel_m, source),
     )
+
+
+def without_pinholes(
+    mask: Mask,
+    shown: Mask,
+    own: Mask,
+    linear: NDArray[np.float32],
+    depth: NDArray[np.float32],
+    opacity: NDArray[np.floating[Any]],
+    resolved_m: float,
+    pixel_m: float,
+) -> tuple[Mask, NDArray[np.float32], NDArray[np.float32]]:
+    """mask, linear and depth with what shows through between splats filled from around: a view that D_φ is shown must
+    lie inside the mask altogether, and few splats close up to the last pixel.
+
+    A pinhole is narrower than what the picture resolves: over a square of half that wave it is OPAQUE on average.
+    """
+    side = int(np.clip(resolved_m / 2.0 / pixel_m, 1, min(mask.shape))) if np.isfinite(resolved_m) else 1
+    closed = connected(own & (shown | (_box_mean(opacity, side) >= OPAQUE)), _filled(depth, shown), pixel_m)
+    holes = closed & ~shown
+    if not mask.any() or not holes.any():
+        return mask, linear, depth
+    linear, depth = linear.copy(), np.where(holes, _filled(depth, shown), depth)
+    for channel in range(3):
+        linear[..., channel][holes] = _filled(linear[..., channel], shown)[holes]
+    return closed, linear, depth
+
+
+def _filled(values: NDArray[np.float32], known: Mask) -> NDArray[np.float32]:
+    return fill_masked(values, known).astype(np.float32) if known.any() else values
+
+
+def _box_mean(values: NDArray[np.floating[Any]], side: int) -> Float:
+    """(H, W) means over a square of about side pixels around each, cut off at the borders."""
+    before = side // 2
+    total = np.pad(np.cumsum(np.cumsum(values, axis=0, dtype=np.float64), axis=1), ((1, 0), (1, 0)))
+    (top, bottom), (left, right) = (
+        (np.maximum(at - before, 0), np.minimum(at + side - before, len(at))) for at in map(np.arange, values.shape)
+    )
+    sums = total[bottom][:, right] - total[top][:, right] - total[bottom][:, left] + total[top][:, left]
+    return np.asarray(sums / np.outer(bottom - top, right - left))
 
 
 def linear_colour(seen: SplatView) -> NDArray[np.float32]:
@@ -160,19 +204,14 @@ def _look(
     linear: NDArray[np.float32],
     depth: NDArray[np.float32],
     mask: Mask,
-    splats: Splats,
-    seen: SplatView,
-    metres: float,
+    resolved: float,
     pixel_m: float,
     source: str,
 ) -> Look | None:
-    if not mask.any():
+    if not mask.any() or not np.isfinite(resolved):
         return None
     rgb = np.rint(CODES * np.sqrt(linear)).astype(np.uint8)
     if float(rgb[mask].std(axis=0).max()) < UNIFORM_CODES:
-        return None
-    resolved = resolved_by_splats(splats, seen, mask) * metres
-    if not np.isfinite(resolved):
         return None
     known = np.where(np.isfinite(depth), depth, np.nan).astype(np.float32)
     return Look(rgb, known, max(resolved, 2.0 * pixel_m), source)

@@ -54,7 +54,9 @@ def cloud_frame(obj: Any, cloud: Any, stretch: Float) -> CloudFrame:
     place = place_on(obj, cloud)
     linear = stretch @ place[:3, :3]
     metres = even_scale(linear, f"object '{obj.name}'")
-    return CloudFrame(metres, linear / metres, stretch @ place[:3, 3])
+    # The last bits of a turned object's stretch are rounding, and could put another of two splats in front.
+    turn = np.round(linear / metres, 6) + 0.0
+    return CloudFrame(float(f"{metres:.7g}"), turn, stretch @ place[:3, 3])
 
 
 def even_scale(matrix: Float, where: str) -> float:

@@ -12,7 +12,8 @@ from hnf_core.scene.splats.inria import write_inria
 Y_00 = 0.28209479177387814
 HALF_M = (30e-3, 15e-3, 5e-3)
 """Of the slab at METRES a unit."""
-METRES = 0.02
+METRES = 2.0**-6
+"""Exact in float32 too, as Blender keeps it."""
 FINE_M, LONG_M = 0.16e-3, 1.6e-3
 """Standard deviations of the splats on its top, along x and along y."""
 COARSE_M = 2.2e-3
@@ -48,7 +49,8 @@ def _side(axis: int, sign: float) -> tuple[np.ndarray, np.ndarray]:
         jitter = rng.normal(0.0, 0.1 * sigma[each], grid.size)
         centres[:, each] = (2.0 * grid.ravel() - 1.0) * HALF_M[each] + jitter
         sizes[:, each] = sigma[each]
-    centres[:, axis] = sign * HALF_M[axis]
+    # Never all in one plane: which of two splats at one depth is in front, only rounding would say.
+    centres[:, axis] = sign * HALF_M[axis] + rng.normal(0.0, 20e-6, grids[0].size)
     return centres, sizes
 
 

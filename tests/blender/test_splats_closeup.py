@@ -1,0 +1,137 @@
+"""Patches seen in splats: colour, depth, mask and detail of a slab whose truth is known, in any frame and unit."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+from builders import add_plane
+from mathutils import Euler
+from splat_builders import FINE_M, HALF_M, METRES, Y_00, slab
+
+from hnf_blender.bridge.meshes import surface_mesh
+from hnf_blender.bridge.splat_closeup import HALF_PASS, iter_splat_closeups, linear_colour
+from hnf_blender.bridge.splat_cloud import link_cloud, new_cloud
+from hnf_core.errors import SceneError
+from hnf_core.scene.patch import CAMERA_DISTANCE_M, Patch
+from hnf_core.scene.splats.cloud import Splats
+from hnf_core.scene.splats.view import SplatView
+
+PIXELS = 128
+TOP = Patch(np.array([0.0, 0.0, HALF_M[2]]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), 0)
+
+
+def slab_object(splats: Splats, unit: float = METRES):
+    """A plane on top of the slab, and the slab's splats under it; the scene has `unit` metres a unit."""
+    plane = add_plane("Slab", 1.0)
+    half = np.array(HALF_M) / METRES
+    for vertex in plane.data.vertices:
+        vertex.co = (np.sign(vertex.co.x) * half[0], np.sign(vertex.co.y) * half[1], half[2])
+    cloud = new_cloud("Slab splats", splats, "slab.ply")
+    bpy.context.scene.collection.objects.link(cloud)
+    link_cloud(plane, cloud)
+    bpy.context.view_layer.update()
+    return plane, cloud
+
+
+def look(plane, cloud, unit: float = METRES, patch: Patch = TOP, pixels: int = PIXELS):
+    bpy.context.view_layer.update()
+    surface = surface_mesh(plane, bpy.context.view_layer.depsgraph, unit)
+    (closeup,) = iter_splat_closeups(plane, cloud, [patch], surface=surface, pixels=pixels)
+    return closeup
+
+
+@pytest.fixture(scope="module")
+def splats() -> Splats:
+    return slab()
+
+
+def test_colour_depth_faces_and_detail_are_the_slabs(splats: Splats) -> None:
+    closeup = look(*slab_object(splats), pixels=256)
+    assert closeup.mask.mean() > 0.98
+    assert np.abs(closeup.view.depth[closeup.mask] - CAMERA_DISTANCE_M).max() < 0.2e-3
+    colour = closeup.view.rgb[closeup.mask]
+    light = np.array([0.85, 0.15])  # of the stripes, as displayed
+    linear = np.where(light <= 0.04045, light / 12.92, ((light + 0.055) / 1.055) ** 2.4)
+    assert np.percentile(colour[:, 0], 90) == pytest.approx(linear[0], rel=0.02)
+    assert np.percentile(colour[:, 0], 10) == pytest.approx(linear[1], rel=0.1)
+    assert closeup.appearance.base_color == pytest.approx(tuple(colour.mean(axis=0)), rel=1e-6)
+    assert (closeup.height, closeup.renders) == (None, 1)
+    assert closeup.faces.tolist() == [0]
+    assert closeup.look is not None
+    assert closeup.look.source == "splats of slab.ply"
+    assert closeup.look.resolved_wavelength_m == pytest.approx(HALF_PASS * FINE_M, rel=1e-3)
+    assert closeup.look.linear == pytest.approx(closeup.view.rgb, abs=0.01)
+
+
+@pytest.mark.parametrize("unit", [METRES, 1.0])
+def test_moving_turning_and_scaling_the_whole_change_nothing(splats: Splats, unit: float) -> None:
+    plane, cloud = slab_object(splats)
+    plain = look(plane, cloud)
+    plane.location, plane.rotation_euler = (5.0, -3.0, 2.0), Euler((0.3, -1.1, 2.0))
+    plane.scale = (METRES / unit,) * 3
+    moved = look(plane, cloud, unit)
+    assert moved.look is not None
+    assert plain.look is not None
+    assert (moved.mask == plain.mask).mean() > 0.999
+    assert np.abs(moved.view.rgb - plain.view.rgb).mean() < 1e-3
+    assert np.abs(moved.view.depth - plain.view.depth)[plain.mask].max() < 2e-6
+    assert moved.look.resolved_wavelength_m == pytest.approx(plain.look.resolved_wavelength_m, rel=1e-5)
+
+
+def test_a_patch_turned_by_a_quarter_sees_the_picture_turned(splats: Splats) -> None:
+    plane, cloud = slab_object(splats)
+    plain = look(plane, cloud)
+    turned = look(plane, cloud, patch=Patch(TOP.centre, TOP.y_axis, TOP.normal, 0))
+    assert np.abs(np.rot90(plain.view.rgb, -1) - turned.view.rgb).max() < 1e-3
+
+
+def test_the_unit_decides_what_is_resolved(splats: Splats) -> None:
+    plane, cloud = slab_object(splats)
+    twice = Patch(2.0 * TOP.centre, TOP.x_axis, TOP.normal, 0)
+    closeup = look(plane, cloud, 2.0 * METRES, twice)
+    assert closeup.look is not None
+    assert closeup.look.resolved_wavelength_m == pytest.approx(2.0 * HALF_PASS * FINE_M, rel=1e-3)
+
+
+def test_no_detail_finer_than_two_pixels_is_claimed(splats: Splats) -> None:
+    plane, cloud = slab_object(splats)
+    closeup = look(plane, cloud, pixels=20)
+    assert closeup.look is not None
+    assert closeup.look.resolved_wavelength_m == pytest.approx(2.0 * TOP.size_m / 20)
+
+
+def test_one_colour_is_no_picture(splats: Splats) -> None:
+    grey = np.full_like(splats.harmonics, -0.1 / Y_00)
+    closeup = look(*slab_object(Splats(splats.means, splats.scales, splats.rotations, splats.opacities, grey)))
+    assert closeup.mask.mean() > 0.98
+    assert closeup.look is None
+    assert closeup.appearance.base_color == pytest.approx((0.133,) * 3, abs=0.002)
+
+
+def test_splats_away_from_the_surface_are_said_to_show_none(splats: Splats) -> None:
+    plane, cloud = slab_object(splats)
+    cloud.location.z = -3.0
+    closeup = look(plane, cloud)
+    assert not closeup.mask.any()
+    assert closeup.look is None
+    assert "object 'Slab': its splats show no surface" in closeup.notes[0]
+    assert closeup.faces.size == 0
+
+
+def test_stretched_and_mirrored_splats_are_refused(splats: Splats) -> None:
+    plane, cloud = slab_object(splats)
+    plane.scale = (1.0, 1.0, 1.5)
+    with pytest.raises(SceneError, match=r"object 'Slab'.*three axes.*one scale"):
+        look(plane, cloud)
+    plane.scale = (1.0, 1.0, -1.0)
+    with pytest.raises(SceneError, match="mirrored"):
+        look(plane, cloud)
+
+
+def test_a_faint_surface_shows_its_colour_and_not_the_black_behind() -> None:
+    shape = (4, 4)
+    opacity = np.full(shape, 0.25, dtype=np.float32)
+    rgb = np.full((*shape, 3), 0.5 * 0.25, dtype=np.float32)
+    seen = SplatView(TOP.camera(4), rgb, np.ones(shape), np.ones(shape), opacity, 1, 1)
+    assert linear_colour(seen) == pytest.approx(0.21404, abs=1e-4)  # sRGB 0.5

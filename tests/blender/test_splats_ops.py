@@ -1,0 +1,216 @@
+"""Buttons and drops for reconstructions: import, the real length, a pen over ellipsoids."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+import pytest
+from builders import add_plane
+from mathutils import Vector
+from panel_recorder import drawn
+from splat_builders import slab, slab_file
+
+from hnf_blender.bridge import splat_reconstruction
+from hnf_blender.bridge.drawn_stroke import cast_on_surface
+from hnf_blender.bridge.splat_cloud import cloud_of, is_cloud, read_cloud
+from hnf_blender.bridge.splat_reconstruction import TouchSurface
+from hnf_blender.bridge.under_cursor import first_hit
+from hnf_blender.ops import splats
+from hnf_blender.ops.splats import Reading
+from hnf_blender.ui.scene_panel import HNF_PT_scale
+
+pytestmark = pytest.mark.usefixtures("operators")
+
+SQUARE = TouchSurface(
+    np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], dtype=np.float32),
+    np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32),
+    np.full((4, 3), 0.25, dtype=np.float32),
+    ("It is full of holes.",),
+)
+
+
+@pytest.fixture
+def quick(monkeypatch, tmp_path):
+    """Every file's surface is a square, made at once."""
+    quality = SimpleNamespace(warnings=SQUARE.warnings)
+    made = SimpleNamespace(vertices=SQUARE.vertices, triangles=SQUARE.triangles, colour=SQUARE.colour, quality=quality)
+
+    def reconstruct(_splats, *, progress=None, **_named):
+        for share in np.linspace(0.0, 1.0, 5):
+            if progress is not None:
+                progress("looking", float(share))
+                time.sleep(0.01)
+        return made
+
+    monkeypatch.setattr(splat_reconstruction, "reconstruct", reconstruct)
+    monkeypatch.setattr(splats, "cache_folder", lambda: tmp_path / "cache")
+
+
+@pytest.fixture
+def imported(quick, tmp_path: Path):
+    assert bpy.ops.hnf.import_splats(filepath=str(slab_file(tmp_path, "slab.compressed.ply"))) == {"FINISHED"}
+    return bpy.data.objects["slab"]
+
+
+def test_a_dropped_file_is_added_to_what_is_open(quick, tmp_path: Path) -> None:
+    add_plane("Table")
+    assert bpy.ops.hnf.import_splats(filepath=str(slab_file(tmp_path))) == {"FINISHED"}
+    surface = bpy.context.view_layer.objects.active
+    assert (surface.name, len(surface.data.polygons)) == ("slab", 2)
+    assert "Table" in bpy.context.scene.objects
+    assert read_cloud(cloud_of(surface)).means.tobytes() == slab().means.tobytes()
+    (material,) = surface.data.materials
+    assert material.name == "slab"
+    colours = surface.data.color_attributes[0]
+    assert colours.data[0].color[:] == pytest.approx((0.25, 0.25, 0.25, 1.0))
+    assert surface["hnf_splats_notes"] == "object 'slab': It is full of holes."
+    assert (np.array(surface.matrix_world) == np.eye(4)).all()  # the file says that z is up
+
+
+def test_up_is_turned_to_z(quick, tmp_path: Path) -> None:
+    from hnf_core.scene.splats.inria import write_inria
+
+    for number, (comment, up) in enumerate({"": (0, -1, 0), "Vertical Axis: -z": (0, 0, -1)}.items()):
+        path = tmp_path / f"s{number}.ply"
+        write_inria(path, slab(), comments=(comment,) if comment else ())
+        bpy.ops.hnf.import_splats(filepath=str(path))
+        surface = bpy.context.view_layer.objects.active
+        bpy.context.view_layer.update()
+        assert (surface.matrix_world.to_3x3() @ Vector(up))[:] == pytest.approx((0.0, 0.0, 1.0), abs=1e-6)
+
+
+@pytest.mark.parametrize("damage", ["cut", "missing", "mesh", "spz"])
+def test_what_cannot_be_imported_adds_nothing_and_says_why(quick, tmp_path: Path, damage: str) -> None:
+    path = slab_file(tmp_path)
+    if damage == "cut":
+        path.write_bytes(path.read_bytes()[:-100])
+    elif damage == "mesh":
+        path.write_text("ply\nformat ascii 1.0\nelement vertex 0\nproperty float x\nend_header\n")
+    elif damage == "missing":
+        path.unlink()
+    else:
+        path = path.rename(path.with_suffix(".spz"))
+    said = {"cut": "splats are there", "missing": "No such file", "mesh": "Stanford PLY", "spz": "Convert it to"}[
+        damage
+    ]
+    with pytest.raises(RuntimeError, match=said) as caught:
+        bpy.ops.hnf.import_splats(filepath=str(path))
+    assert str(path) in str(caught.value)
+    assert len(bpy.data.objects) == len(bpy.data.meshes) == 0
+
+
+def test_no_import_in_edit_mode() -> None:
+    add_plane("Table")
+    bpy.context.view_layer.objects.active = bpy.data.objects["Table"]
+    bpy.ops.object.mode_set(mode="EDIT")
+    assert not bpy.ops.hnf.import_splats.poll()
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert bpy.ops.hnf.import_splats.poll()
+
+
+def wait(reading: Reading) -> None:
+    for _ in range(500):
+        if reading.is_done:
+            return
+        time.sleep(0.01)
+    raise AssertionError("it did not end")
+
+
+def test_a_window_reads_in_a_thread_that_tells_how_far_it_is_and_can_be_stopped(quick, tmp_path: Path) -> None:
+    path = slab_file(tmp_path)
+    reading = Reading(path, tmp_path / "cache")
+    wait(reading)
+    assert reading.error is None
+    assert reading.made is not None
+    assert (reading.made.name, reading.share) == ("slab", 1.0)
+    stopped = Reading(slab_file(tmp_path, "other.ply", degree=1), tmp_path / "cache")
+    stopped.stop()
+    wait(stopped)
+    assert (stopped.made, stopped.error) == (None, None)
+    path.write_bytes(b"ply\n")
+    broken = Reading(path, tmp_path / "cache")
+    wait(broken)
+    assert str(path) in str(broken.error)
+
+
+def choose(*names: str) -> None:
+    for obj in bpy.context.scene.objects:
+        obj.select_set(obj.name in names)
+
+
+def test_two_selected_objects_and_their_distance_set_the_scale() -> None:
+    for name, place in (("A", (1.0, 0.0, 0.0)), ("B", (1.0, 4.0, 3.0)), ("C", (0.0, 0.0, 0.0))):
+        bpy.context.scene.collection.objects.link(bpy.data.objects.new(name, None))
+        bpy.data.objects[name].location = place
+    bpy.context.view_layer.update()
+    choose("A", "B", "C")
+    assert not bpy.ops.hnf.set_real_length.poll()
+    choose("A", "B")
+    assert bpy.ops.hnf.set_real_length(length_m=0.5) == {"FINISHED"}
+    assert bpy.context.scene.hnf.metres_per_unit == pytest.approx(0.1)
+    bpy.data.objects["B"].location = (1.0, 0.0, 0.0)
+    bpy.context.view_layer.update()
+    with pytest.raises(RuntimeError, match="lie in one place"):
+        bpy.ops.hnf.set_real_length(length_m=0.5)
+    assert bpy.context.scene.hnf.metres_per_unit == pytest.approx(0.1)
+
+
+def test_two_selected_vertices_set_the_scale_in_the_world() -> None:
+    bpy.ops.mesh.primitive_plane_add()
+    plane = bpy.context.object
+    plane.scale = (3.0, 3.0, 3.0)
+    bpy.context.view_layer.update()
+    corners = np.array([vertex.co for vertex in plane.data.vertices])
+    first, second = 0, int(np.argmax(np.linalg.norm(corners - corners[0], axis=1)))
+    plane.data.vertices.foreach_set("select", [index in (first, second) for index in range(len(corners))])
+    plane.data.edges.foreach_set("select", [False] * len(plane.data.edges))
+    plane.data.polygons.foreach_set("select", [False] * len(plane.data.polygons))
+    bpy.ops.object.mode_set(mode="EDIT")
+    try:
+        assert bpy.ops.hnf.set_real_length.poll()
+        assert bpy.ops.hnf.set_real_length(length_m=1.2) == {"FINISHED"}
+        bpy.ops.mesh.select_all(action="SELECT")
+        assert not bpy.ops.hnf.set_real_length.poll()
+    finally:
+        bpy.ops.object.mode_set(mode="OBJECT")
+    units = 3.0 * np.linalg.norm(corners[first] - corners[second])
+    assert bpy.context.scene.hnf.metres_per_unit == pytest.approx(1.2 / units)
+
+
+def test_the_panel_asks_for_a_length_until_there_is_one(imported) -> None:
+    def texts() -> str:
+        layout = drawn(HNF_PT_scale)
+        assert layout is not None
+        assert "hnf.set_real_length" in layout.operators
+        return " ".join(text for text, _ in layout.texts)
+
+    assert "no scale of its own" in texts()
+    bpy.context.scene.hnf.metres_per_unit = 0.25
+    assert "no scale of its own" not in texts()
+
+
+def test_a_pen_draws_on_the_surface_through_its_ellipsoids(imported) -> None:
+    scene, depsgraph = bpy.context.scene, bpy.context.evaluated_depsgraph_get()
+    down, start = Vector((0.0, 0.0, -1.0)), Vector((0.3, 0.2, 5.0))
+    assert is_cloud(scene.ray_cast(depsgraph, start, down)[4].original)
+    hit = cast_on_surface(scene, depsgraph, None, start, down)
+    assert hit is not None
+    assert hit.obj == imported
+    assert hit.world == pytest.approx((0.3, 0.2, 0.0), abs=1e-6)
+    assert hit.normal == pytest.approx((0.0, 0.0, 1.0), abs=1e-6)
+    assert first_hit(scene, depsgraph, start, down) == (imported, 0)
+    assert cast_on_surface(scene, depsgraph, None, Vector((9.0, 0.0, 5.0)), down) is None
+    shelf = add_plane("Shelf", 1.0)
+    shelf.location = (0.3, 0.2, 1.0)
+    bpy.context.view_layer.update()
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    above = cast_on_surface(scene, depsgraph, None, start, down)
+    assert above is not None
+    assert above.obj == shelf
+    imported.hide_set(True)
+    shelf.hide_set(True)
+    assert cast_on_surface(scene, bpy.context.evaluated_depsgraph_get(), None, start, down) is None

@@ -1,0 +1,252 @@
+"""The main job on a reconstruction: `hnf touch slab.ply`, once for all tests, and what it leaves."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from predicted_scene import small_weights, use_weights
+from splat_builders import FINE_M, HALF_M, METRES, slab, slab_file
+from touch_scene import signals, touch
+
+from hnf_blender.bridge import splat_closeup, splat_reconstruction
+from hnf_blender.bridge.meshes import surface_mesh
+from hnf_blender.bridge.splat_closeup import HALF_PASS
+from hnf_blender.bridge.splat_cloud import cloud_of, read_cloud, read_point_tokens
+from hnf_blender.bridge.splat_frame import cloud_frame
+from hnf_blender.bridge.splat_reconstruction import TouchSurface, read_reconstruction
+from hnf_blender.bridge.storage import UNBAKED, read_tokens
+from hnf_blender.jobs import running
+from hnf_blender.jobs.work import scene_session
+from hnf_blender.state.session import STATE
+from hnf_blender.state.watch import Watch
+from hnf_blender.touch import bake
+from hnf_core.errors import SceneError
+from hnf_core.scene.splats.surface import reconstruct
+
+STROKE = ("--stroke", "left-right-soft", "--on", "slab", "--scale", str(METRES))
+CELLS = 24
+
+
+@dataclass(frozen=True)
+class Ran:
+    """A run of the main job: its file, its folder, its report."""
+
+    path: Path
+    out: Path
+    code: int
+    report: dict
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick(tmp_path_factory):
+    """A coarse surface, small pictures, a small D_φ."""
+    weights = small_weights(tmp_path_factory.mktemp("weights") / "small.safetensors")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(splat_reconstruction, "CELLS", CELLS)
+        patch.setattr(bake, "PATCH_PIXELS", 256)
+        use_weights(patch, weights)
+        yield
+
+
+@pytest.fixture(scope="module")
+def ran(quick, stroke_properties, tmp_path_factory) -> Ran:
+    folder = tmp_path_factory.mktemp("slab")
+    path = slab_file(folder)
+    return Ran(path, folder / "out", *touch(path, folder / "out", *STROKE))
+
+
+@pytest.fixture
+def no_work(monkeypatch):
+    """Whatever reconstructs or renders splats fails."""
+
+    def fail(*_args, **_named):
+        raise AssertionError("this was done before")
+
+    monkeypatch.setattr(splat_reconstruction, "reconstruct", fail)
+    monkeypatch.setattr(splat_closeup, "render_splats", fail)
+
+
+@pytest.fixture
+def baked(ran: Ran):
+    """The .blend that the run left, open: surface and cloud."""
+    bpy.ops.wm.open_mainfile(filepath=str(ran.out / ran.report["baked_blend"]))
+    surface = bpy.data.objects["slab"]
+    bpy.context.scene.hnf.metres_per_unit = METRES
+    return surface, cloud_of(surface)
+
+
+def test_a_reconstruction_is_felt_by_the_predicted_route(ran: Ran) -> None:
+    assert ran.code == 0
+    (entry,) = ran.report["strokes"]
+    # 0.85 mm is resolved, so that bands down to 2 mm are seen whole.
+    assert [entry["routes"][band] for band in ("8 mm", "2 mm", "0.25 mm")] == ["predicted", "predicted", "prior"]
+    assert entry["resolved_wavelength_m"] == pytest.approx(HALF_PASS * FINE_M, rel=0.02)
+    assert entry["height_source"] == "estimated from splats of slab.ply"
+    counts = ran.report["counts"]
+    assert 0 < counts["diffusion_calls"] == counts["tokens"] <= counts["renders"] - 1
+    assert counts["rays"] > 0
+    signal = signals(ran.out, ran.report)[entry["name"]]
+    assert np.isfinite(signal.samples).all()
+    assert signal.rms > 0.0
+    assert ran.report["skipped"] == []
+    assert not any("no scale of its own" in warning for warning in ran.report["warnings"])
+
+
+def test_a_second_run_does_nothing_again(ran: Ran, no_work) -> None:
+    code, report = touch(ran.path, ran.out, *STROKE)
+    assert code == 0
+    assert set(report["counts"].values()) == {0}
+    assert report["strokes"][0]["fresh"]
+    assert report["warnings"] == [line for line in ran.report["warnings"] if line in report["warnings"]]
+
+
+def test_the_plan_says_what_the_splats_are_for_and_what_is_missing(ran: Ran, no_work, tmp_path, capsys) -> None:
+    shutil.copytree(ran.out / "cache", tmp_path / "out" / "cache")
+    capsys.readouterr()
+    assert touch(ran.path, tmp_path / "out", "--plan", "--json", *STROKE[:4])[0] == 0
+    plan = json.loads(capsys.readouterr().out)
+    (needed,) = plan["needed"]
+    (slot,) = needed["slots"]
+    assert (slot["route"], slot["why"]) == ("predicted", "no relief, but splats of slab.ply show it")
+    assert any("'slab' is a reconstruction, which has no scale of its own" in note for note in plan["notes"])
+
+
+def test_the_baked_file_feels_the_same_as_the_splat_file(ran: Ran, no_work, tmp_path) -> None:
+    shutil.copytree(ran.out / "cache", tmp_path / "out" / "cache")
+    code, report = touch(ran.out / ran.report["baked_blend"], tmp_path / "out", "--scale", str(METRES))
+    assert code == 0
+    (first,), (second,) = ran.report["strokes"], report["strokes"]
+    assert (tmp_path / "out" / second["wav"]).read_bytes() == (ran.out / first["wav"]).read_bytes()
+    assert report["counts"]["renders"] == 1  # the picture
+
+
+def test_faces_and_splats_carry_the_tokens_of_what_was_touched(baked) -> None:
+    surface, cloud = baked
+    tokens, points = read_tokens(surface.data), read_point_tokens(cloud)
+    assert tokens is not None
+    assert points is not None
+    told = points.index != UNBAKED
+    assert set(points.index[told].tolist()) == set(tokens.index[tokens.index != UNBAKED].tolist())
+    assert ((points.confidence > 0.0) == told).all()
+    made = surface_mesh(surface, bpy.context.view_layer.depsgraph, METRES)
+    place = cloud_frame(surface, cloud, made.stretch).to_surface(read_cloud(cloud).means)
+    assert 0.05 < told.mean() < 0.95
+    # The stroke runs over the top, 10 mm above the bottom.
+    assert told[place[:, 2] < -0.9 * HALF_M[2]].mean() < 0.5 < told[place[:, 2] > 0.9 * HALF_M[2]].mean()
+    assert (bpy.data.objects["slab splats"], cloud.parent) == (cloud, surface)
+
+
+def test_the_splats_as_they_are_come_back_from_the_file(baked) -> None:
+    found, meant = read_cloud(baked[1]), slab()
+    assert found.means.tobytes() == meant.means.tobytes()
+    assert found.opacities == pytest.approx(meant.opacities, abs=1e-6)
+    assert found.scales == pytest.approx(meant.scales, rel=1e-6)
+
+
+def test_a_changed_splat_is_noticed_and_a_changed_name_or_place_is_not(baked, tmp_path) -> None:
+    surface, cloud = baked
+
+    def key() -> str:
+        session = scene_session(bpy.context.scene, bpy.context.view_layer, tmp_path)
+        return session.surface_key(surface)
+
+    first = key()
+    cloud.name = "something else"
+    surface.location.x += 1.0
+    bpy.ops.object.camera_add(location=(1.0, 2.0, 3.0))
+    assert key() == first
+    watch = Watch(bpy.context.scene, bpy.context.view_layer)
+    while not watch.is_idle:
+        watch.look()
+    cloud.data.attributes["sh_0"].data[100].vector.x += 0.01
+    assert key() != first
+    watch.expect(cloud.data.name)
+    assert not watch.is_idle
+
+
+def test_a_bake_in_the_window_gives_the_same_tokens(baked, ran: Ran, no_work, operators, tmp_path, monkeypatch) -> None:
+    cloud = baked[1]
+    shutil.copytree(ran.out / "cache", tmp_path / "cache")
+    monkeypatch.setattr(running, "cache_folder", lambda: tmp_path / "cache")
+    meant = read_point_tokens(cloud)
+    assert bpy.ops.hnf.purge(what="ALL") == {"FINISHED"}
+    assert read_point_tokens(cloud) is None
+    ended = running.bake_in_line(bpy.context.scene, bpy.context.view_layer)
+    STATE.clear()
+    assert ended.ok, ended.message
+    found = read_point_tokens(cloud)
+    assert found is not None
+    assert meant is not None
+    assert found.index.tolist() == meant.index.tolist()
+    assert found.confidence.tolist() == meant.confidence.tolist()
+
+
+def test_a_surface_with_a_relief_of_its_own_is_seen_by_its_shader(baked, tmp_path) -> None:
+    from builders import bump_material
+
+    surface, _ = baked
+    surface.data.materials[0] = bump_material("Ridges", wavelength=2e-3, height=5e-5)
+    session = scene_session(bpy.context.scene, bpy.context.view_layer, tmp_path)
+    assert not session.touched(surface).is_seen_in_splats(0)
+    surface.data.materials.clear()
+    session = scene_session(bpy.context.scene, bpy.context.view_layer, tmp_path)
+    assert session.touched(surface).is_seen_in_splats(0)
+
+
+def test_poor_reconstructions_are_said_to_be_poor(baked, tmp_path) -> None:
+    surface, _ = baked
+    surface["hnf_splats_notes"] = "object 'slab': full of holes."
+    session = scene_session(bpy.context.scene, bpy.context.view_layer, tmp_path)
+    assert session.surface(surface).notes[-1] == "object 'slab': full of holes."
+
+
+@pytest.mark.parametrize("damage", ["none", "cut", "noise", "indices"])
+def test_a_kept_surface_is_used_where_it_is_whole_and_made_anew_where_not(damage, tmp_path, monkeypatch) -> None:
+    calls = []
+    plain = TouchSurface(
+        np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], dtype=np.int32), np.eye(3, dtype=np.float32), ()
+    )
+
+    class Made:
+        vertices, triangles, colour = plain.vertices, plain.triangles, plain.colour
+
+        class quality:  # noqa: N801
+            warnings = ("poor",)
+
+    def counted(splats, **_named):
+        calls.append(len(splats))
+        return Made
+
+    monkeypatch.setattr(splat_reconstruction, "reconstruct", counted)
+    path = slab_file(tmp_path)
+    first = read_reconstruction(path, tmp_path / "cache")
+    (kept,) = (tmp_path / "cache").iterdir()
+    whole = kept.read_bytes()
+    if damage == "indices":
+        splat_reconstruction._keep(
+            tmp_path / "cache", path, CELLS, TouchSurface(plain.vertices, plain.triangles + 1, plain.colour, ())
+        )
+    else:
+        kept.write_bytes({"none": whole, "cut": whole[:200], "noise": bytes(range(256))}[damage])
+    second = read_reconstruction(path, tmp_path / "cache")
+    assert len(calls) == (1 if damage == "none" else 2)
+    assert (first.was_kept, second.was_kept) == (False, damage == "none")
+    assert second.surface.warnings == ("poor",)
+    assert second.surface.vertices.tobytes() == plain.vertices.tobytes()
+    assert kept.read_bytes() == whole
+
+
+def test_a_file_that_makes_no_surface_leaves_nothing_behind(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(
+        splat_reconstruction, "reconstruct", lambda *_a, **_n: (_ for _ in ()).throw(SceneError("fog."))
+    )
+    with pytest.raises(SceneError, match=r"fog"):
+        read_reconstruction(slab_file(tmp_path), tmp_path / "cache")
+    assert not (tmp_path / "cache").exists()
+    assert reconstruct is not splat_reconstruction.reconstruct
