@@ -11,7 +11,7 @@ import pytest
 from splat_shapes import fog, joined, moved, sheet, sphere, torus
 
 from hnf_core.errors import SceneError, UsageError
-from hnf_core.scene.splats.quality import MOST_RAGGED, MOST_TRANSLUCENT, open_share
+from hnf_core.scene.splats.quality import MOST_RAGGED, MOST_TRANSLUCENT, Clarity, open_share, quality
 from hnf_core.scene.splats.read import read_splats
 from hnf_core.scene.splats.sights import glance, linear, sight
 from hnf_core.scene.splats.surface import SplatSurface, reconstruct
@@ -122,6 +122,30 @@ def test_loose_grains_are_no_surface():
     found = reconstruct(replace(ball, means=shaken, scales=0.5 * ball.scales), cells=CELLS, views=VIEWS).quality
     assert not found.touchable
     assert found.clarity.translucent > MOST_TRANSLUCENT or found.clarity.ragged > MOST_RAGGED
+
+
+def test_each_thing_that_makes_it_poor_is_said():
+    ball = made("ball")
+    clear = ball.quality.clarity
+
+    def said(count=1500, kept=1.0, triangles=ball.triangles, seen=clear, away=0.0) -> tuple[str, ...]:
+        vertices = ball.vertices.astype(np.float64) + away
+        spread, views = ball.spread, ball.support.astype(np.int32)
+        return quality(
+            sphere(1500).take(np.arange(count)), kept, vertices, triangles, ball.spacing, spread, views, 1, seen
+        ).warnings
+
+    assert said() == ()
+    for words, problem in (
+        ("only 150 splats", {"count": 150}),
+        ("dropped 40 %", {"kept": 0.6}),
+        ("full of holes", {"triangles": ball.triangles[np.arange(len(ball.triangles)) % 5 > 0]}),
+        ("half transparent", {"seen": Clarity(0.3, 0.0)}),
+        ("loose grains", {"seen": Clarity(0.0, 0.3)}),
+        ("fog", {"away": 20.0 * ball.spacing}),
+    ):
+        (warning,) = said(**problem)
+        assert words in warning
 
 
 def test_neither_scale_nor_dirt_changes_the_surface():
