@@ -24,7 +24,8 @@ BEHIND = 3.0
 TRUNCATION = 3.0
 """Spacings in front of a surface up to which distance is measured; farther points are free."""
 BAND = 4
-"""Samples kept around each seen point, along every axis: THICKNESS, a cube's diagonal and one to spare."""
+"""Samples kept around each seen point, along every axis: BEHIND it, and before it THICKNESS, a cube's diagonal and one
+to spare."""
 STEEPEST = 0.1
 """Cosine between view and surface below which a depth says nothing of the distance to it."""
 STRAIGHT = 0.5
@@ -76,8 +77,8 @@ def fuse(sights: Iterable[Sight], grid: Grid, origin: Float, keys: NDArray[np.in
 
     A view whose surface lies near a sample gives the distance to the surface's tangent plane, (z_surface − z) cos θ,
     less THICKNESS, with the weight opacity · cos² θ: a steep surface's depth is the least sure. A view that looks
-    through gives TRUNCATION, if it does so for the whole ball of radius TRUNCATION around the sample: a ray that
-    grazes a thickened surface must not carve it. Samples of which nothing is said are left out.
+    through gives TRUNCATION, if it sees nothing nearer than that beside the sample either, within THICKNESS and a pixel:
+    a ray that grazes a thickened surface must not carve it. Samples of which nothing is said are left out.
     """
     points = (grid.cells(keys) + origin).astype(np.float32)
     total = np.zeros(len(keys), dtype=np.float32)
