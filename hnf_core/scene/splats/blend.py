@@ -1,174 +1,228 @@
-"""Splats composited front to back within a rectangle of pixels, all pairs of a splat and a pixel at once."""
+"""Splats composited front to back in one region of a picture: small tiles, many tiles and many splats at once."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .project import MOST_ALPHA, Footprints, Int
-from .spans import Spans, spans
+from .project import MOST_ALPHA, Footprints, Int, form
 
 Float = NDArray[np.float64]
 Single = NDArray[np.float32]
 Bool = NDArray[np.bool_]
 
-BLOCK = 1 << 16
-"""Pairs held at once, but for the last splat's: few enough for a cache, many enough for numpy."""
-TICKS = float(1 << 30)
-"""−ln(1 − α) is counted in whole parts of this: sums of such are exact, in whatever order and portions."""
-OPAQUE = -np.log(1e-5) * TICKS
-"""Where this much is in front of a pair, it is left out."""
-HALF = np.log(2.0) * TICKS
-FAR = 2.0**40
+SIDE = 4
+"""Pixels along a tile's side."""
+SPLATS = 1 << 13
+"""Looked at together."""
+TOUCHES = 1 << 15
+"""Pairs of a splat and a tile held at once, but for the last splat's."""
+TILES = 256
+"""Blended together."""
+EVALUATED = 1 << 16
+"""Pairs of a splat and a pixel held at once."""
+OPAQUE = np.float32(1e-5)
+"""A pixel with less light left than this is done."""
 
 
 @dataclass(frozen=True)
-class Canvas:
-    """What has been blended into P = width · height pixels, row by row. thickness: (P,) float64 optical depth, ticks.
-    rgb: (3, P). weight: (P,) Σ w. weighted: (P,) Σ w (z − base). median: (P,) z − base, inf = not reached yet."""
+class Region:
+    """A rectangle of a picture, in tiles of SIDE × SIDE pixels; those on its right and lower edge may stick out."""
 
     left: int
     top: int
     width: int
     height: int
-    thickness: Float
-    rgb: Float
-    weight: Float
-    weighted: Float
-    median: Float
 
-    @classmethod
-    def empty(cls, left: int, top: int, width: int, height: int) -> Canvas:
-        count = width * height
-        flat = [np.zeros(count) for _ in range(3)]
-        return cls(left, top, width, height, flat[0], np.zeros((3, count)), flat[1], flat[2], np.full(count, np.inf))
+    @property
+    def across(self) -> int:
+        return -(-self.width // SIDE)
+
+    @property
+    def down(self) -> int:
+        return -(-self.height // SIDE)
 
 
 @dataclass(frozen=True)
-class Pairs:
-    """Q pairs, pixel by pixel, each pixel's front to back. pixel: (S,) those met, flat. start: (S,) where each pixel's
-    begin. alpha: (Q,). run, column: (Q,) of which of the spans, and how many pixels right of its anchor."""
+class Canvas:
+    """What has been blended into the T tiles of a region; P = SIDE² pixels each. All (P, T).
 
-    pixel: Int
+    light: float32 that is left, 0 outside the region. sums: (5, P, T) float64, Σ w of 1, z − base and the colours.
+    median: float32 z − base, inf = not reached yet.
+    """
+
+    region: Region
+    light: Single
+    sums: Float
+    median: Single
+
+    @classmethod
+    def empty(cls, region: Region) -> Canvas:
+        shape = (region.down, SIDE, region.across, SIDE)
+        light = np.zeros(shape, dtype=np.float32)
+        light.reshape(region.down * SIDE, -1)[: region.height, : region.width] = 1.0
+        light = np.ascontiguousarray(light.transpose(1, 3, 0, 2)).reshape(SIDE * SIDE, -1)
+        return cls(region, light, np.zeros((5, *light.shape)), np.full_like(light, np.inf))
+
+    def picture(self, values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+        """(P, T) → (height, width)."""
+        whole = values.reshape(SIDE, SIDE, self.region.down, self.region.across).transpose(2, 0, 3, 1)
+        return whole.reshape(self.region.down * SIDE, -1)[: self.region.height, : self.region.width]
+
+
+@dataclass(frozen=True)
+class Touches:
+    """Splats that meet tiles, tile by tile, each tile's front to back. splat: (I,) index into the footprints.
+    tile: (A,) those met. start, end: (A,) where each one's splats lie."""
+
+    splat: Int
+    tile: Int
     start: Int
-    alpha: Single
-    run: Int
-    column: Single
+    end: Int
 
 
-def blend(
-    prints: Footprints, colour: Single, base: float, left: int, top: int, width: int, height: int
-) -> tuple[Canvas, int]:
-    """The rectangle of a picture, at most 65,536 pixels, and how many pairs it took. colour: (3, M) of the footprints.
-    base: a depth that others are kept relative to, so that float32 is spent on what differs."""
-    canvas, count = Canvas.empty(left, top, width, height), 0
-    right, bottom = left + width, top + height
-    rest = np.flatnonzero((prints.left < right) & (prints.right > left) & (prints.top < bottom) & (prints.bottom > top))
-    while len(rest):
-        open_ = canvas.thickness < OPAQUE
-        rest = rest[_any_open(prints, rest, canvas, open_)]
-        taken = _first(prints, rest, canvas)
-        runs = _trim(spans(prints, rest[:taken], left, top, right, bottom), canvas, open_)
-        rest = rest[taken:]
-        if len(runs):
-            count += int(np.sum(runs.right - runs.left))
-            _composite(canvas, prints, colour, base, runs, _pairs(canvas, prints, runs))
-    return canvas, count
+def blend(prints: Footprints, order: Int, colour: Single, base: float, region: Region) -> tuple[Canvas, int]:
+    """A region of a picture, at most 65,536 tiles, and how many pairs of a splat and a pixel it took.
+
+    order: (M,) of the footprints, front to back. colour: (3, M) of the footprints. base: a depth that others are kept
+    relative to, so that float32 is spent on what differs.
+    """
+    canvas, pairs, at = Canvas.empty(region), 0, 0
+    right, bottom = region.left + region.width, region.top + region.height
+    met = (prints.left < right) & (prints.right > region.left) & (prints.top < bottom) & (prints.bottom > region.top)
+    mine = order[met[order]]
+    prints, colour = prints.take(mine), colour[:, mine]
+    while at < len(prints):
+        open_ = (canvas.light >= OPAQUE).any(axis=0)
+        if not open_.any():
+            break
+        with np.errstate(over="ignore"):  # far from a needle q is beyond float32
+            touches, at = _touches(prints, at, region, open_)
+            pairs += _composite(canvas, prints, colour, base, touches)
+    return canvas, pairs
 
 
-def _box(prints: Footprints, which: Int, canvas: Canvas) -> tuple[Int, Int, Int, Int]:
-    """Left, right, top, bottom within the canvas, right and bottom exclusive."""
-    return (
-        np.maximum(prints.left[which] - canvas.left, 0),
-        np.minimum(prints.right[which] - canvas.left, canvas.width),
-        np.maximum(prints.top[which] - canvas.top, 0),
-        np.minimum(prints.bottom[which] - canvas.top, canvas.height),
-    )
+def _touches(prints: Footprints, at: int, region: Region, open_: Bool) -> tuple[Touches, int]:
+    """Of the foremost splats from `at` on with the tiles that are still open, and where the next ones begin."""
+    span = np.s_[at : at + SPLATS]
+    left = np.maximum(prints.left[span] - region.left, 0) // SIDE
+    right = (np.minimum(prints.right[span] - region.left, region.width) - 1) // SIDE + 1
+    top = np.maximum(prints.top[span] - region.top, 0) // SIDE
+    bottom = (np.minimum(prints.bottom[span] - region.top, region.height) - 1) // SIDE + 1
+    seen = _any_open(open_.reshape(region.down, region.across), left, right, top, bottom)
+    count = np.where(seen, (right - left) * (bottom - top), 0)
+    taken = int(np.searchsorted(np.cumsum(count), TOUCHES)) + 1
+    which = np.flatnonzero(seen[:taken])
+    count, wide = count[which], (right - left)[which]
+
+    member = np.repeat(np.arange(len(which)), count)
+    place = np.arange(len(member)) - (np.cumsum(count) - count)[member]
+    row = ((place + 0.5) / wide[member]).astype(np.intp)  # whole numbers divide more slowly
+    y, x, splat = top[which][member] + row, left[which][member] + place - row * wide[member], which[member] + at
+    kept = np.flatnonzero(open_[y * region.across + x])
+    y, x, splat = y[kept], x[kept], splat[kept]
+    kept = np.flatnonzero(_near(prints, splat, region.left + SIDE * x, region.top + SIDE * y))
+    tile, splat = (y[kept] * region.across + x[kept]).astype(np.uint16), splat[kept]
+    order = np.argsort(tile, kind="stable")
+    found = np.bincount(tile, minlength=len(open_))
+    met, end = np.flatnonzero(found), np.cumsum(found)
+    return Touches(splat[order], met, (end - found)[met], end[met]), at + min(taken, len(seen))
 
 
-def _any_open(prints: Footprints, which: Int, canvas: Canvas, open_: Bool) -> Bool:
-    """Which boxes hold a pixel that is not opaque yet (summed areas)."""
-    across = canvas.width + 1
-    total = np.zeros((canvas.height + 1, across), dtype=np.int32)
-    np.cumsum(np.cumsum(open_.reshape(canvas.height, canvas.width), axis=0, dtype=np.int32), axis=1, out=total[1:, 1:])
-    flat = total.ravel()
-    left, right, top, bottom = _box(prints, which, canvas)
-    top, bottom = top * across, bottom * across
-    return np.asarray(flat[bottom + right] - flat[bottom + left] > flat[top + right] - flat[top + left])
-
-
-def _first(prints: Footprints, which: Int, canvas: Canvas) -> int:
-    """How many of the foremost splats make a block."""
-    left, right, top, bottom = _box(prints, which[:BLOCK], canvas)
-    return int(np.searchsorted(np.cumsum((right - left) * (bottom - top)), BLOCK)) + 1
-
-
-def _trim(runs: Spans, canvas: Canvas, open_: Bool) -> Spans:
-    """Without the opaque pixels at the ends of each run."""
+def _any_open(open_: Bool, left: Int, right: Int, top: Int, bottom: Int) -> Bool:
+    """Which boxes of tiles hold an open one (summed areas)."""
     if open_.all():
-        return runs
-    at = np.arange(len(open_))
-    following = np.append(np.minimum.accumulate(np.where(open_, at, len(open_))[::-1])[::-1], len(open_))
-    before = np.maximum.accumulate(np.where(open_, at, -1))
-    row = (runs.y - canvas.top) * canvas.width - canvas.left
-    left = following[row + runs.left] - row
-    right = before[row + runs.right - 1] + 1 - row
-    kept = np.flatnonzero(left < right)
-    return Spans(
-        runs.splat[kept], runs.y[kept], left[kept], right[kept], runs.steep[kept], runs.across[kept], runs.along[kept]
+        return np.ones(len(left), dtype=np.bool_)
+    total = np.zeros((open_.shape[0] + 1, open_.shape[1] + 1), dtype=np.int32)
+    total[1:, 1:] = open_.cumsum(axis=0, dtype=np.int32).cumsum(axis=1)
+    return np.asarray(total[bottom, right] - total[bottom, left] > total[top, right] - total[top, left])
+
+
+def _near(prints: Footprints, splat: Int, left: Int, top: Int) -> Bool:
+    """False where an ellipse surely misses a tile: no pixel is nearer to it, in the Mahalanobis distance, than the
+    tile's middle less what half its diagonal can make."""
+    steep, across, _ = form(prints, splat, top + (0.5 * SIDE - 0.5))
+    offset = left + 0.5 * SIDE - across
+    q = steep + prints.sharp[splat] * (offset * offset)
+    return np.asarray(q <= (np.square(np.sqrt(prints.limit) + np.sqrt(0.5) * SIDE * prints.narrow))[splat])
+
+
+def _composite(canvas: Canvas, prints: Footprints, colour: Single, base: float, touches: Touches) -> int:
+    """Blend them in; returns how many pairs had a part in it. Tiles go together with those that have as many splats."""
+    pairs, depths = 0, touches.end - touches.start
+    alike = np.argsort(depths, kind="stable")
+    for first in range(0, len(alike), TILES):
+        group = alike[first : first + TILES]
+        tile, start, end = touches.tile[group], touches.start[group], touches.end[group]
+        while len(tile):
+            layers = int(min(max(EVALUATED // (SIDE * SIDE * len(tile)), 1), (end - start).max()))
+            at = start + np.arange(layers)[:, None]
+            there = at < end
+            splat = touches.splat[np.where(there, at, 0)]
+            pairs += _layers(canvas, prints, colour, base, tile, splat, there)
+            start = start + layers
+            rest = np.flatnonzero((start < end) & (canvas.light[:, tile] >= OPAQUE).any(axis=0))
+            tile, start, end = tile[rest], start[rest], end[rest]
+    return pairs
+
+
+def _layers(canvas: Canvas, prints: Footprints, colour: Single, base: float, tile: Int, splat: Int, there: Bool) -> int:
+    """L splats, one behind the other, in each of A tiles. splat, there: (L, A)."""
+    y, x = np.divmod(tile, canvas.region.across)
+    left, top = canvas.region.left + SIDE * x, canvas.region.top + SIDE * y
+    alpha, covered = _alpha(prints, left, top, splat, there)
+    light = np.empty((len(splat) + 1, *alpha.shape[1:]), dtype=np.float32)
+    light[0] = canvas.light[:, tile]
+    np.subtract(np.float32(1.0), alpha, out=light[1:])
+    for layer in range(len(splat)):  # multiply.accumulate takes ten times as long
+        light[layer + 1] *= light[layer]
+    canvas.light[:, tile] = light[-1]
+    plane = _plane(prints, base, left, top, splat)
+    row, column = (each.astype(np.float32)[:, None] for each in np.divmod(np.arange(SIDE * SIDE), SIDE))
+
+    pixel, which = np.nonzero((light[0] > 0.5) & (light[-1] <= 0.5))
+    layer = np.argmax(light[1:, pixel, which] <= 0.5, axis=0)
+    corner, aside, along = (each[layer, which] for each in plane)
+    canvas.median[pixel, tile[which]] = corner + aside * column[pixel, 0] + along * row[pixel, 0]
+
+    covered &= light[:-1] >= OPAQUE
+    weight = alpha
+    weight *= light[:-1]
+    weight *= covered
+    corner, aside, along, *shades = (
+        np.einsum("lpa,la->pa", weight, each) for each in (*plane, *(channel[splat] for channel in colour))
     )
+    found = [weight.sum(axis=0), corner + aside * column + along * row, *shades]
+    for total, part in zip(canvas.sums, found, strict=True):
+        total[:, tile] += part
+    return int(np.count_nonzero(covered))
 
 
-def _pairs(canvas: Canvas, prints: Footprints, runs: Spans) -> Pairs:
-    counts = runs.right - runs.left
-    first = np.cumsum(counts) - counts
-    run = np.repeat(np.arange(len(runs)), counts)
-    at = np.arange(len(run))
-    anchor = _anchor(runs)
-    column = (at + (runs.left - anchor - first)[run]).astype(np.float32)
-    pixel = (at + ((runs.y - canvas.top) * canvas.width - canvas.left + runs.left - first)[run]).astype(np.uint16)
-
-    offset = (anchor + 0.5 - runs.across).astype(np.float32)
-    narrow = (-0.5 * prints.sharp[runs.splat]).astype(np.float32)
-    peak = (np.log(prints.opacity[runs.splat]) - 0.5 * runs.steep).astype(np.float32)
-    t = column + offset[run]
-    alpha = np.minimum(np.exp(peak[run] + narrow[run] * (t * t)), np.float32(MOST_ALPHA))
-
-    order = np.argsort(pixel, kind="stable")
-    pixel = pixel[order]
-    start = np.flatnonzero(np.concatenate([[True], pixel[1:] != pixel[:-1]]))
-    return Pairs(pixel[start].astype(np.intp), start, alpha[order], run[order], column[order])
+def _alpha(prints: Footprints, left: Int, top: Int, splat: Int, there: Bool) -> tuple[Single, Bool]:
+    """(L, P, A), and which of them count: q decides in float64, as it does for the reference. The others are 0."""
+    steps = np.arange(SIDE)[:, None]
+    steep, across, _ = form(prints, splat[:, None], (top + steps)[None])
+    q = (left + steps + 0.5) - across[:, :, None]
+    q *= q
+    q *= prints.sharp[splat][:, None, None]
+    q += steep[:, :, None]
+    covered = q <= np.where(there, prints.limit[splat], -1.0)[:, None, None]
+    alpha = q.astype(np.float32)
+    alpha *= np.float32(-0.5)
+    np.exp(alpha, out=alpha)
+    alpha *= prints.opacity[splat].astype(np.float32)[:, None, None]
+    np.minimum(alpha, np.float32(MOST_ALPHA), out=alpha)
+    alpha *= covered
+    shape = (len(splat), SIDE * SIDE, len(left))
+    return alpha.reshape(shape), covered.reshape(shape)
 
 
-def _anchor(runs: Spans) -> Int:
-    """A pixel of each row that is the same for every crop and rectangle: that of the ellipse's middle."""
-    return np.clip(np.floor(runs.across), -FAR, FAR).astype(np.intp)
-
-
-def _composite(canvas: Canvas, prints: Footprints, colour: Single, base: float, runs: Spans, pairs: Pairs) -> None:
-    thickness = np.rint(np.log(np.float32(1.0) - pairs.alpha) * np.float32(-TICKS)).astype(np.float64)
-    begin = canvas.thickness[pairs.pixel]
-    end = begin + np.add.reduceat(thickness, pairs.start)
-    # A running sum, whose step from one pixel's last pair to the next one's first leads to what is in front of that.
-    steps = np.empty_like(thickness)
-    steps[1:] = thickness[:-1]
-    steps[pairs.start] = begin
-    steps[pairs.start[1:]] -= end[:-1] - thickness[pairs.start[1:] - 1]
-    front = np.cumsum(steps)
-    light = np.exp((front * (-1.0 / TICKS)).astype(np.float32))
-    weight = np.where(front < OPAQUE, pairs.alpha * light, np.float32(0.0))
-
-    splat = runs.splat
-    middle = _anchor(runs) + 0.5 - prints.u[splat]
-    height = prints.depth[splat] - base + prints.rise_x[splat] * middle + prints.rise_y[splat] * runs.along
-    z = height.astype(np.float32)[pairs.run] + prints.rise_x[splat].astype(np.float32)[pairs.run] * pairs.column
-    half = np.flatnonzero((front < HALF) & (front + thickness >= HALF))
-    canvas.median[pairs.pixel[np.searchsorted(pairs.start, half, side="right") - 1]] = z[half]
-
-    canvas.thickness[pairs.pixel] = end
-    canvas.weight[pairs.pixel] += np.add.reduceat(weight, pairs.start)
-    canvas.weighted[pairs.pixel] += np.add.reduceat(weight * z, pairs.start)
-    for total, channel in zip(canvas.rgb, colour, strict=True):
-        total[pairs.pixel] += np.add.reduceat(weight * channel[splat][pairs.run], pairs.start)
+def _plane(prints: Footprints, base: float, left: Int, top: Int, splat: Int) -> list[Single]:
+    """(L, A) depth less base in the middle of each tile's first pixel, and its growth per pixel right and down."""
+    along, aside = top + 0.5 - prints.v[splat], left + 0.5 - prints.u[splat]
+    rise_x, rise_y = prints.rise_x[splat], prints.rise_y[splat]
+    corner = prints.depth[splat] - base + rise_x * aside + rise_y * along
+    return [each.astype(np.float32) for each in (corner, rise_x, rise_y)]

@@ -6,8 +6,8 @@ how many.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,15 +38,16 @@ NUDGE = 1e-9
 
 @dataclass(frozen=True)
 class Footprints:
-    """M splats that meet a picture, front to back (ties by index), as Gaussians in it. All (M,) float64 but as said.
+    """M splats that meet a picture as Gaussians in it. All (M,) float64 but as said.
 
     index: intp, in the cloud. depth: planar, of the centre. u, v: its pixel coordinates. var_y: Σ_yy, pixels². shear:
-    Σ_xy / Σ_yy. sharp: 1 / Var(x | y). limit: the Mahalanobis distance squared at which α falls to CUTOFF. opacity.
+    Σ_xy / Σ_yy. sharp: 1 / Var(x | y). narrow: no less than 1 over its least standard deviation. limit: the Mahalanobis
+    distance squared at which α falls to CUTOFF. opacity.
     rise_x, rise_y: depth per pixel. left, right, top, bottom: intp, the pixels whose centres lie in its bounding box
     within the picture, right and bottom exclusive.
 
-    With dy = y − v and t = x − (u + shear dy) the quadratic form is q = dy² / var_y + sharp t² (`form`): the conic,
-    completed to a square, which loses nothing where a splat is a needle.
+    The quadratic form is q = dy² / var_y + sharp (x − u − shear dy)², dy = y − v: the conic, completed to a square,
+    which loses nothing where a splat is a needle.
     """
 
     index: Int
@@ -56,6 +57,7 @@ class Footprints:
     var_y: Float
     shear: Float
     sharp: Float
+    narrow: Float
     limit: Float
     opacity: Float
     rise_x: Float
@@ -72,26 +74,34 @@ class Footprints:
         return Footprints(*(getattr(self, each.name)[which] for each in fields(self)))
 
 
+def form(prints: Footprints, which: Int, y: Int | Float) -> tuple[Float, Float, Float]:
+    """(steep, across, along) of splats on rows of pixels: q = steep + sharp (x + ½ − across)², along = dy. The one place
+    where q is made, so that the reference and the fast way leave out the same pixels."""
+    along = (y + 0.5) - prints.v[which]
+    return along * along / prints.var_y[which], prints.u[which] + prints.shear[which] * along, along
+
+
 def footprints(splats: Splats, camera: Camera, low_pass: float = LOW_PASS_PX2) -> Footprints:
-    """What of a cloud meets the picture. Raises UsageError where low_pass, pixels², is negative or not finite."""
-    return in_order([footprints_of(splats, camera, low_pass, chunk) for chunk in chunks(splats)])
+    """What of a cloud meets the picture, front to back. Raises UsageError where low_pass, pixels², is negative or not
+    finite."""
+    found = joined([footprints_of(splats, camera, low_pass, chunk) for chunk in chunks(len(splats))])
+    return found.take(front_to_back(found))
 
 
-def chunks(splats: Splats) -> Iterator[slice]:
+def chunks(count: int) -> list[slice]:
     """At least one."""
-    for start in range(0, max(len(splats), 1), CHUNK):
-        yield slice(start, min(start + CHUNK, len(splats)))
+    return [slice(start, min(start + CHUNK, count)) for start in range(0, max(count, 1), CHUNK)]
 
 
-def in_order(parts: list[Footprints]) -> Footprints:
-    """All of them, front to back; equal depths stay as they are."""
+def joined(parts: list[Footprints]) -> Footprints:
     if len(parts) == 1:
-        joined = parts[0]
-    else:
-        joined = Footprints(
-            *(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Footprints))
-        )
-    return joined.take(np.argsort(joined.depth, kind="stable"))
+        return parts[0]
+    return Footprints(*(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Footprints)))
+
+
+def front_to_back(prints: Footprints) -> Int:
+    """Their order; of equal depths the first in the cloud is in front."""
+    return np.argsort(prints.depth, kind="stable")
 
 
 def footprints_of(splats: Splats, camera: Camera, low_pass: float, chunk: slice) -> Footprints:
@@ -130,12 +140,14 @@ def _footprints(splats: Splats, camera: Camera, low_pass: float, chunk: slice) -
     rise_x, rise_y = _rise(sxx, sxy, syy, area, (_dot(mx, mz), _dot(my, mz), _dot(mz, mz)), low_pass)
     var_x, var_y = sxx + low_pass, syy + low_pass
     sharp, shear = var_y / determinant, sxy / var_y
+    narrow = np.sqrt((var_x + var_y) / determinant)
     wide, high = np.sqrt(limit * var_x), np.sqrt(limit * var_y)
     kept = (determinant > 0.0) & (sharp < SHARPEST) & (var_y > 1.0 / SHARPEST) & np.isfinite(wide * high * shear)
     kept = np.flatnonzero(kept & _meets(camera, u, v, wide, high))
     box = _box(camera, u[kept], v[kept], wide[kept], high[kept])
-    found = (z, u, v, var_y, shear, sharp, limit, opacity[at], rise_x, rise_y)
-    return Footprints(index[kept], *(each[kept] for each in found), *box)
+    found = (z, u, v, var_y, shear, sharp, narrow, limit, opacity[at], rise_x, rise_y)
+    numbers: list[Any] = [each[kept] for each in (index, *found)]
+    return Footprints(*numbers, *box)
 
 
 def _linear(camera: Camera, focal: Float, x: Float, y: Float, z: Float) -> tuple[Float, Float, list[list[Float]]]:

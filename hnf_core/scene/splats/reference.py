@@ -7,8 +7,7 @@ import numpy as np
 from ..camera import Camera
 from .cloud import Splats
 from .harmonics import colours, directions
-from .project import LOW_PASS_PX2, MOST_ALPHA, footprints
-from .spans import form
+from .project import LOW_PASS_PX2, MOST_ALPHA, footprints, form
 from .view import SplatView
 
 

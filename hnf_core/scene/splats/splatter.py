@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import Camera
-from .blend import Canvas, blend
+from .blend import Canvas, Region, blend
 from .cloud import Splats
 from .harmonics import colours, directions
-from .project import CHUNK, LOW_PASS_PX2, Footprints, chunks, footprints_of, in_order
+from .project import LOW_PASS_PX2, Int, chunks, footprints_of, front_to_back, joined
 from .view import SplatView
 
-TILE = 128
-"""Pixels along a side of what is blended at once; its square must fit 16 bits."""
+REGION = 128
+"""Pixels along a side of what one thread blends at a time."""
 
 Part = TypeVar("Part")
 
@@ -34,16 +34,16 @@ def render_splats(
     low_pass that is negative or not finite.
     """
     work = _Work(max(1, threads or os.cpu_count() or 1))
-    prints = in_order(work.each(partial(footprints_of, splats, camera, low_pass), chunks(splats)))
-    tint = partial(_colours, splats, camera, prints)
-    colour = np.concatenate(work.each(tint, range(0, max(len(prints), 1), CHUNK)), axis=1)
-    base = float(prints.depth[0]) if len(prints) else 0.0
-    tiles = [
-        (left, top, min(TILE, camera.width - left), min(TILE, camera.height - top))
-        for top in range(0, camera.height, TILE)
-        for left in range(0, camera.width, TILE)
+    prints = joined(work.each(partial(footprints_of, splats, camera, low_pass), chunks(len(splats))))
+    order, base = front_to_back(prints), float(prints.depth.min(initial=np.inf))
+    tints = work.each(partial(_colours, splats, camera, prints.index), chunks(len(prints)))
+    colour = np.concatenate(tints, axis=1)
+    regions = [
+        Region(left, top, min(REGION, camera.width - left), min(REGION, camera.height - top))
+        for top in range(0, camera.height, REGION)
+        for left in range(0, camera.width, REGION)
     ]
-    found = work.each(lambda tile: blend(prints, colour, base, *tile), tiles)
+    found = work.each(partial(blend, prints, order, colour, base), regions)
     return _view(camera, base, [canvas for canvas, _ in found], len(prints), sum(pairs for _, pairs in found))
 
 
@@ -61,9 +61,9 @@ class _Work:
             return list(pool.map(function, listed))
 
 
-def _colours(splats: Splats, camera: Camera, prints: Footprints, start: int) -> NDArray[np.float32]:
-    """(3, n) of some of those that meet the picture, from the nearest on."""
-    index = prints.index[start : start + CHUNK]
+def _colours(splats: Splats, camera: Camera, met: Int, chunk: slice) -> NDArray[np.float32]:
+    """(3, n) of some of those that meet the picture."""
+    index = met[chunk]
     found = colours(splats.harmonics[index], directions(splats.means[index], camera))
     return np.ascontiguousarray(found.T, dtype=np.float32)
 
@@ -73,12 +73,12 @@ def _view(camera: Camera, base: float, canvases: list[Canvas], drawn: int, pairs
     rgb = np.zeros((*shape, 3), dtype=np.float32)
     depth, median, opacity = (np.zeros(shape, dtype=np.float32) for _ in range(3))
     for canvas in canvases:
-        part = np.s_[canvas.top : canvas.top + canvas.height, canvas.left : canvas.left + canvas.width]
-        size = (canvas.height, canvas.width)
-        met = canvas.weight > 0.0
-        expected = base + canvas.weighted / np.where(met, canvas.weight, 1.0)
-        rgb[part] = canvas.rgb.T.reshape(*size, 3)
-        depth[part] = np.where(met, expected, np.inf).reshape(size)
-        median[part] = (base + canvas.median).reshape(size)
-        opacity[part] = np.minimum(canvas.weight, 1.0).reshape(size)
+        at = canvas.region
+        part = np.s_[at.top : at.top + at.height, at.left : at.left + at.width]
+        weight, weighted, *colour = (canvas.picture(each) for each in canvas.sums)
+        met = weight > 0.0
+        rgb[part] = np.stack(colour, axis=-1)
+        depth[part] = np.where(met, base + weighted / np.where(met, weight, 1.0), np.inf)
+        median[part] = base + canvas.picture(canvas.median).astype(np.float64)
+        opacity[part] = np.minimum(weight, 1.0)
     return SplatView(camera, rgb, depth, median, opacity, drawn, pairs)
