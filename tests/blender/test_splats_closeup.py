@@ -56,7 +56,7 @@ def test_colour_depth_faces_and_detail_are_the_slabs(splats: Splats) -> None:
     assert np.percentile(colour[:, 0], 90) == pytest.approx(linear[0], rel=0.02)
     assert np.percentile(colour[:, 0], 10) == pytest.approx(linear[1], rel=0.1)
     assert closeup.appearance.base_color == pytest.approx(tuple(colour.mean(axis=0)), rel=1e-6)
-    assert (closeup.height, closeup.renders) == (None, 1)
+    assert (closeup.height, closeup.renders) == (None, 2)  # with 128 pixels first, then with as many as the detail takes
     assert closeup.faces.tolist() == [0]
     assert closeup.look is not None
     assert closeup.look.source == "splats of slab.ply"
