@@ -59,7 +59,7 @@ def sheet(side: int = 30) -> Splats:
     return discs(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)), 1.6 / side)
 
 
-def fog(count: int = 3000, seed: int = 0) -> Splats:
+def fog(count: int = 2000, seed: int = 0) -> Splats:
     """Balls anywhere in a cube, some of them opaque."""
     random = np.random.default_rng(seed)
     points = random.uniform(-1.0, 1.0, (count, 3))

@@ -234,7 +234,7 @@ def test_where_the_light_stops_at_two_surfaces_the_first_counts():
 @pytest.mark.skipif(not SPLATS.is_dir(), reason="needs the published splat files in ../shared/data/splats")
 def test_a_real_guitar_is_touchable():
     guitar = read_splats(SPLATS / "guitar.compressed.ply")
-    found = reconstruct(guitar, cells=48, views=10)
+    found = reconstruct(guitar, cells=40, views=6)
     assert found.quality.touchable, found.quality
     assert found.quality.near > 0.9
     assert found.quality.median < 0.8 * found.spacing

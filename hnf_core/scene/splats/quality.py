@@ -20,8 +20,8 @@ OPAQUE = 0.5
 NEAR = 2.0
 REACH = 4.0
 """Spacings: near the surface; as far as it is looked for."""
-MOST_JUDGED = 1 << 14
-"""Splats whose distance is taken, evenly chosen: a share of so many is right to 0.4 %."""
+MOST_JUDGED = 1 << 12
+"""Splats whose distance is taken, evenly chosen: a share of so many is right to 0.8 %."""
 LEAST_NEAR = 0.6
 MOST_OPEN = 0.05
 MOST_TRANSLUCENT = 0.2

@@ -77,8 +77,8 @@ def fuse(sights: Iterable[Sight], grid: Grid, origin: Float, keys: NDArray[np.in
 
     A view whose surface lies near a sample gives the distance to the surface's tangent plane, (z_surface − z) cos θ,
     less THICKNESS, with the weight opacity · cos² θ: a steep surface's depth is the least sure. A view that looks
-    through gives TRUNCATION, if it sees nothing nearer than that beside the sample either, within THICKNESS and a pixel:
-    a ray that grazes a thickened surface must not carve it. Samples of which nothing is said are left out.
+    through gives TRUNCATION, if it sees nothing nearer than that beside the sample either, within THICKNESS and a
+    pixel: a ray that grazes a thickened surface must not carve it. Samples of which nothing is said are left out.
     """
     points = (grid.cells(keys) + origin).astype(np.float32)
     total = np.zeros(len(keys), dtype=np.float32)
