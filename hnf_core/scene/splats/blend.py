@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .project import MOST_ALPHA, Footprints, Int, form
+from .project import HALF_LIGHT, MOST_ALPHA, Footprints, Int, form
 
 Float = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -183,8 +183,8 @@ def _layers(canvas: Canvas, prints: Footprints, colour: Single, base: float, til
     plane = _plane(prints, base, left, top, splat)
     row, column = (each.astype(np.float32)[:, None] for each in np.divmod(np.arange(SIDE * SIDE), SIDE))
 
-    pixel, which = np.nonzero((light[0] > 0.5) & (light[-1] <= 0.5))
-    layer = np.argmax(light[1:, pixel, which] <= 0.5, axis=0)
+    pixel, which = np.nonzero((light[0] > HALF_LIGHT) & (light[-1] <= HALF_LIGHT))
+    layer = np.argmax(light[1:, pixel, which] <= HALF_LIGHT, axis=0)
     corner, aside, along = (each[layer, which] for each in plane)
     canvas.median[pixel, tile[which]] = corner + aside * column[pixel, 0] + along * row[pixel, 0]
 

@@ -24,6 +24,8 @@ LOW_PASS_PX2 = 0.3
 CUTOFF = 1.0 / 255.0
 """A splat that covers less of a pixel than this is skipped there (INRIA)."""
 MOST_ALPHA = 0.99
+HALF_LIGHT = 0.5
+"""Left behind the splat whose depth is the median."""
 FIELD_MARGIN = 0.3
 """Jacobians are taken no farther out than this part of the half field of view beyond the picture (INRIA; with gsplat's
 rule for principal points off the centre)."""
@@ -75,8 +77,8 @@ class Footprints:
 
 
 def form(prints: Footprints, which: Int, y: Int | Float) -> tuple[Float, Float, Float]:
-    """(steep, across, along) of splats on rows of pixels: q = steep + sharp (x + ½ − across)², along = dy. The one place
-    where q is made, so that the reference and the fast way leave out the same pixels."""
+    """(steep, across, along) of splats on rows of pixels: q = steep + sharp (x + ½ − across)², along = dy. The only
+    place where q is made, so that the reference and the fast way leave out the same pixels."""
     along = (y + 0.5) - prints.v[which]
     return along * along / prints.var_y[which], prints.u[which] + prints.shear[which] * along, along
 

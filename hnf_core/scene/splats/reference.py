@@ -7,7 +7,7 @@ import numpy as np
 from ..camera import Camera
 from .cloud import Splats
 from .harmonics import colours, directions
-from .project import LOW_PASS_PX2, MOST_ALPHA, footprints, form
+from .project import HALF_LIGHT, LOW_PASS_PX2, MOST_ALPHA, footprints, form
 from .view import SplatView
 
 
@@ -38,7 +38,7 @@ def render_reference(splats: Splats, camera: Camera, *, low_pass: float = LOW_PA
         after = before * (1.0 - alpha)
         rgb[box] += (alpha * before)[..., None] * colour[i]
         weighted[box] += alpha * before * z
-        median[box] = np.where((before > 0.5) & (after <= 0.5), z, median[box])
+        median[box] = np.where((before > HALF_LIGHT) & (after <= HALF_LIGHT), z, median[box])
         light[box] = after
         pairs += int(covered.sum())
     opacity = 1.0 - light
