@@ -12,6 +12,7 @@ from numpy.polynomial import legendre
 from splat_clouds import close_up, cloud, perspective, splats
 from test_splat_views import turned
 
+from hnf_core.scene.camera import Camera
 from hnf_core.scene.splats.harmonics import basis, colours, directions
 from hnf_core.scene.splats.project import footprints, form
 
@@ -76,9 +77,11 @@ def test_a_jacobian_is_taken_no_farther_out_than_the_field_of_view_allows():
     """Beside the camera, close to its plane, a splat would be smeared over the whole picture."""
     beside = splats([(8.0, 0.0, -2.9)], 0.3, 0.9)
     assert len(footprints(beside, perspective())) == 0
-    inside = splats([(0.5, 0.0, 0.0)], 1.0, 0.9)
-    narrow = perspective().crop(0, 0, 8, 8)
-    assert footprints(inside, narrow).var_y == pytest.approx(footprints(inside, perspective()).var_y, rel=1e-12)
+    camera = Camera("perspective", 40, 40, np.array([[20.0, 0.0, 20.0], [0.0, 20.0, 20.0], [0.0, 0.0, 1.0]]), np.eye(4))
+    above = splats([(0.0, -3.0, 1.0)], 1.0, 0.9)
+    expected = 20.0**2 * (1.0 + 1.3**2) + 0.3  # of a ball, at 1.3 times the tangent of half the field of view
+    for each in (camera, camera.crop(10, 0, 20, 8)):
+        np.testing.assert_allclose(footprints(above, each).var_y, [expected], rtol=1e-12)
 
 
 def literal(towards, degree, m):
