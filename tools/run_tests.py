@@ -79,13 +79,13 @@ NOT_IN_BLENDER = (
 
 # The longest first, so that two workers end at about the same time.
 CHECKS = (
+    Check("lint", ".venv", ("-m", "ruff", "check", "."), 120, is_pytest=False),
+    Check("core", ".venv", ("tests/core",), 1100),
     Check("blender-5.0", ".venv", ("tests/blender",), 1200),
     Check("blender-4.2", ".venv-4.2", without("tests/blender", *SAME_ON_EVERY_BLENDER), 1200, can_end=False),
-    Check("blender-4.5", ".venv-4.5", without("tests/blender", *ONCE_IS_ENOUGH), 1200, can_end=False),
-    Check("core", ".venv", ("tests/core",), 1100),
     Check("core-numpy-1.24", ".venv-4.2", without("tests/core", *SAME_ON_EVERY_NUMPY, *NOT_IN_BLENDER), 900),
+    Check("blender-4.5", ".venv-4.5", without("tests/blender", *ONCE_IS_ENOUGH), 1200, can_end=False),
     Check("types", ".venv", ("-m", "mypy"), 600, is_pytest=False),
-    Check("lint", ".venv", ("-m", "ruff", "check", "."), 120, is_pytest=False),
 )
 APP = Check("app", ".venv", ("tests/app",), 1200)
 
