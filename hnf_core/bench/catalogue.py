@@ -23,6 +23,12 @@ def _maps(options: Options) -> list[Row]:
     return rows(options)
 
 
+def _splats(options: Options) -> list[Row]:
+    from .splats import rows
+
+    return rows(options)
+
+
 def _stream(options: Options) -> list[Row]:
     from .stream import rows
 
@@ -57,6 +63,9 @@ BENCHES = (
     Bench("startup", "what a command costs from nothing, beside `import numpy`", _startup),
     Bench("synth", "ten seconds of stroke in every way there is, against the model taken literally", _synth),
     Bench("maps", "relief and picture until there is a token, in wide and narrow numbers", _maps),
+    Bench(
+        "splats", "splats until there is a picture, beside the naive way; what a crop costs (also of --scene)", _splats
+    ),
     Bench("preview", "a changed force key → new samples, from what is there and all anew", _preview),
     Bench("stream", "a stream for 10 minutes on a virtual device, busy or with 16 channels: underruns, bytes", _stream),
     Bench("live", "a hand felt live: what 5 ms of it cost, and how long it takes from the pen to the wire", _live),

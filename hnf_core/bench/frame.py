@@ -6,6 +6,7 @@ import time
 import tracemalloc
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -120,11 +121,12 @@ class Row:
 @dataclass(frozen=True)
 class Options:
     """repeats: of every measurement. quick: sizes so small that the rows mean nothing; it proves that they come.
-    watch: is told what is measured now."""
+    watch: is told what is measured now. scene: a file to measure on, besides what a bench makes itself."""
 
     repeats: int = 5
     quick: bool = False
     watch: Callable[[str], None] = lambda what: None
+    scene: Path | None = None
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser.add_argument("name", nargs="?", metavar="NAME", help="one of them (default: all; an unknown one lists them)")
     parser.add_argument("--repeats", type=int, default=5, metavar="N", help="of each measurement (default 5)")
     parser.add_argument("--quick", action="store_true", help="tiny sizes: proves that it runs, and nothing else")
+    parser.add_argument("--scene", type=Path, metavar="FILE", help="a splat .ply that `splats` also measures on")
     parser.add_argument("--json", action="store_true", help="print a list of objects instead")
     parser.add_argument(
         "--plot", type=Path, metavar="FILE", help="also draw time over error, or over size, as FILE.png or FILE.svg"
@@ -66,6 +67,7 @@ def run_benches(arguments: argparse.Namespace, benches: Sequence[Bench]) -> int:
                 arguments.repeats,
                 arguments.quick,
                 lambda what, place=place: bar.show(Progress(what, place, len(chosen))),  # type: ignore[misc]
+                arguments.scene,
             )
             rows += bench.rows(options)
     finally:

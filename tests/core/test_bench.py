@@ -172,3 +172,33 @@ def test_maps_have_an_error_beside_narrower_numbers(capsys):
     assert rows["D_φ of one view in float32"]["error"] < 1e-5
     assert 0.0 < rows["E of an image in float16"]["error"] < 0.1
     assert all(row["seconds"] > 0.0 and row["peak_mb"] > 0.0 for row in rows.values())
+
+
+def test_splats_have_a_picture_beside_the_reference_and_crops_cost_less_work(capsys):
+    assert hnf("splats", "--quick", "--repeats", "1", "--json") == 0
+    rows = json.loads(capsys.readouterr().out)
+    reference, naive, one, two, *crops = rows
+    assert [row["ratio_to"] for row in (reference, naive, one, two)] == [
+        "",
+        "",
+        "a loop over splats",
+        "a loop over splats",
+    ]
+    assert max(row["error"] for row in (one, two, *crops)) < 1e-4
+    assert naive["error"] < 0.01  # float32 puts a splat on the other side of the cutoff here and there
+    pairs = [row["work"]["pairs"] for row in (one, *crops)]
+    assert pairs == sorted(pairs, reverse=True)
+    assert pairs[-1] < pairs[0] / 10
+
+
+def test_splats_are_measured_on_a_file_too_and_a_broken_one_is_refused(tmp_path, capsys):
+    from hnf_core.bench.splats import ball
+    from hnf_core.scene.splats.inria import write_inria
+
+    path = tmp_path / "ball.ply"
+    write_inria(path, ball(50))
+    assert hnf("splats", "--quick", "--repeats", "1", "--json", "--scene", str(path)) == 0
+    assert sum("ball, 50 at" in row["method"] for row in json.loads(capsys.readouterr().out)) == 7
+    path.write_bytes(path.read_bytes()[:-5])
+    assert hnf("splats", "--quick", "--repeats", "1", "--scene", str(path)) == 1
+    assert str(path) in capsys.readouterr().err

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
@@ -43,8 +44,16 @@ def render_splats(
         for top in range(0, camera.height, REGION)
         for left in range(0, camera.width, REGION)
     ]
-    found = work.each(partial(blend, prints, order, colour, base), regions)
-    return _view(camera, base, [canvas for canvas, _ in found], len(prints), sum(pairs for _, pairs in found))
+    rgb = np.empty((camera.height, camera.width, 3), dtype=np.float32)
+    depth, median, opacity = (np.empty(rgb.shape[:2], dtype=np.float32) for _ in range(3))
+    view = SplatView(camera, rgb, depth, median, opacity, len(prints), 0)
+
+    def paint(region: Region) -> int:
+        canvas, pairs = blend(prints, order, colour, base, region)
+        _fill(view, canvas, base)
+        return pairs
+
+    return replace(view, pairs=sum(work.each(paint, regions)))
 
 
 class _Work:
@@ -68,17 +77,13 @@ def _colours(splats: Splats, camera: Camera, met: Int, chunk: slice) -> NDArray[
     return np.ascontiguousarray(found.T, dtype=np.float32)
 
 
-def _view(camera: Camera, base: float, canvases: list[Canvas], drawn: int, pairs: int) -> SplatView:
-    shape = (camera.height, camera.width)
-    rgb = np.zeros((*shape, 3), dtype=np.float32)
-    depth, median, opacity = (np.zeros(shape, dtype=np.float32) for _ in range(3))
-    for canvas in canvases:
-        at = canvas.region
-        part = np.s_[at.top : at.top + at.height, at.left : at.left + at.width]
-        weight, weighted, *colour = (canvas.picture(each) for each in canvas.sums)
-        met = weight > 0.0
-        rgb[part] = np.stack(colour, axis=-1)
-        depth[part] = np.where(met, base + weighted / np.where(met, weight, 1.0), np.inf)
-        median[part] = base + canvas.picture(canvas.median).astype(np.float64)
-        opacity[part] = np.minimum(weight, 1.0)
-    return SplatView(camera, rgb, depth, median, opacity, drawn, pairs)
+def _fill(view: SplatView, canvas: Canvas, base: float) -> None:
+    """Write a region into its place."""
+    at = canvas.region
+    part = np.s_[at.top : at.top + at.height, at.left : at.left + at.width]
+    weight, weighted, *colour = (canvas.picture(each) for each in canvas.sums)
+    met = weight > 0.0
+    view.rgb[part] = np.stack(colour, axis=-1)
+    view.depth[part] = np.where(met, base + weighted / np.where(met, weight, 1.0), np.inf)
+    view.median[part] = base + canvas.picture(canvas.median).astype(np.float64)
+    view.opacity[part] = np.minimum(weight, 1.0)
