@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ def colour_png(pixels: NDArray[np.uint8]) -> bytes:
     return _png(pixels, TRUECOLOUR)
 
 
-def _png(pixels: NDArray[np.unsignedinteger], colour_type: int, bits: int = 8) -> bytes:
+def _png(pixels: NDArray[np.unsignedinteger[Any]], colour_type: int, bits: int = 8) -> bytes:
     height, width = pixels.shape[:2]
     rows = b"".join(b"\0" + row.tobytes() for row in np.ascontiguousarray(pixels))  # filter 0: as they are
     head = struct.pack(">IIBBBBB", width, height, bits, colour_type, 0, 0, 0)

@@ -14,12 +14,15 @@ from builders import add_plane, add_sphere
 from closeup_builders import principled
 from mathutils import Vector
 
+from hnf_blender.bridge import splat_reconstruction
 from hnf_blender.bridge.importers import open_scene
 from hnf_blender.bridge.nerfstudio import CAMERAS, add_cameras, geometry_of
 from hnf_blender.bridge.scene_camera import camera_record
+from hnf_blender.bridge.splat_cloud import cloud_of
 from hnf_core.errors import FileError, SceneError
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.nerfstudio import NerfstudioFrame, read_transforms
+from hnf_core.scene.splats.inria import write_inria
 from hnf_core.scene.splats.read import read_splats
 
 SPOT = np.array([0.021, -0.013, 0.012])
@@ -167,3 +170,18 @@ def test_another_json_is_refused_and_nothing_is_given_up(tmp_path) -> None:
     with pytest.raises(FileError, match="no 'frames'"):
         open_scene(tmp_path / "settings.json")
     assert kept in bpy.data.objects
+
+
+def test_splats_of_an_export_stand_upright_among_its_cameras(copied, monkeypatch) -> None:
+    """Without the comment that says which way is up, nerfstudio's frame is z up all the same."""
+    (copied / "mesh.obj").unlink()
+    (copied / "poisson_mesh.ply").unlink()
+    splats = read_splats(copied / "splat.ply")
+    write_inria(copied / "splat.ply", splats)
+    monkeypatch.setattr(splat_reconstruction, "CELLS", 40)
+    scene = open_scene(copied / "transforms.json")
+    surface = next(obj for obj in scene.objects if cloud_of(obj) is not None)
+    np.testing.assert_allclose(np.array(cloud_of(surface).matrix_world), np.eye(4), atol=1e-6)
+    np.testing.assert_allclose(np.array(surface.matrix_world), np.eye(4), atol=1e-6)
+    frames = read_transforms(copied / "transforms.json")
+    same_camera(camera_record(scene, scene.camera, 1.0), frames[0].camera)
