@@ -247,11 +247,8 @@ def _own_surface(seen: _Seen, surface: Surface) -> Mask:
     return connected(slot == seen.patch.slot, seen.cast.depth, seen.pixel_m)
 
 
-def connected(
-    own: Mask, depth: NDArray[np.floating[Any]], pixel_m: float, off_m: float = CAMERA_DISTANCE_M / 4.0
-) -> Mask:
-    """Those of own (H, W) that are joined to the patch's centre without a step in planar depth (H, W) in metres. off_m:
-    how far the surface at the centre may be from where the camera expects it."""
+def connected(own: Mask, depth: NDArray[np.floating[Any]], pixel_m: float) -> Mask:
+    """Those of own (H, W) that are joined to the patch's centre without a step in planar depth (H, W) in metres."""
     depth = np.where(own, depth, 0.0)
     limit = STEEPEST * pixel_m
     right = own[:, 1:] & own[:, :-1] & (np.abs(np.diff(depth, axis=1)) <= limit)
@@ -259,7 +256,7 @@ def connected(
     rows, columns = own.shape
     reached = np.zeros_like(own)
     middle = (slice(rows // 2 - 1, rows // 2 + 1), slice(columns // 2 - 1, columns // 2 + 1))
-    at_centre = own[middle] & (np.abs(depth[middle] - CAMERA_DISTANCE_M) <= off_m)
+    at_centre = own[middle] & (np.abs(depth[middle] - CAMERA_DISTANCE_M) <= CAMERA_DISTANCE_M / 4.0)
     reached[middle] = at_centre
     return flood(reached, right, down)
 

@@ -30,11 +30,10 @@ Mask = NDArray[np.bool_]
 
 OPAQUE = 0.5
 """Opacity from which a pixel shows the surface, and not a haze in front of nothing."""
-AWAY_M = CAMERA_DISTANCE_M / 4.0
-"""What splats show so far from the touched surface is not that surface, once the one is laid on the other."""
-OFF_M = CAMERA_DISTANCE_M
-"""How far, all of it together, a reconstructed surface may stand off its splats: as far as the camera sees. Of a guitar
-1.1 m long, on a grid of 4 mm, a quarter of the opaque places are off by more than 2.5 mm and a tenth by 5 mm."""
+AWAY_M = CAMERA_DISTANCE_M / 2.0
+"""What splats show so far from the touched surface, or farther than the finest wave that they show, is not that
+surface, once the one is laid on the other. All of it together may stand off its splats: at every fourth place of a
+guitar 1.1 m long, whose surface was made on a grid of 4 mm, it does so by more than 2.5 mm."""
 MIDDLE = 0.25
 """Part of a patch's side in whose square the one is laid on the other."""
 HALF_PASS = np.pi * np.sqrt(2.0 / np.log(2.0))
@@ -44,7 +43,6 @@ FINEST_SHARE = 0.1
 DEEP = 2.0
 """A splat counts as seen where its centre lies no more than so many of its own standard deviations, along the view,
 behind the surface that is seen there."""
-
 PIXELS_A_WAVE = 8
 """Of the finest detail that splats show: what widens them to a pixel then takes a tenth of it at most."""
 
@@ -117,8 +115,7 @@ def _closeup(near: _Near, pixels: int) -> CloseUp:
     opaque = own & (seen.opacity >= OPAQUE)
     resolved = resolved_by_splats(near.splats, seen, opaque) * near.frame.metres
     reach = max(AWAY_M, resolved) if np.isfinite(resolved) else AWAY_M
-    off = np.where(opaque, depth, 0.0) - np.where(opaque, _enlarged(cast.depth, camera), 0.0)
-    shown = opaque & (np.abs(off) <= reach)
+    shown = opaque & (away_from(depth, _enlarged(cast.depth, camera), opaque) <= reach)
     opacity = np.where(opaque & ~shown, np.float32(0.0), seen.opacity)
     mask, linear, depth = without_pinholes(shown, own, linear_colour(seen), depth, opacity, resolved, pixel_m)
     notes = () if mask.any() else (_nothing_seen(surface.object_name),)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,11 +20,12 @@ from hnf_core.material.fuse import BANDS, FusedToken, fuse, routes_in_words
 from hnf_core.scene.patch import Patch
 from hnf_core.signal import Signal
 
+from ..bridge.look import Look
 from ..bridge.strokes import SceneStroke
 from .bake import TouchedObject, bake_patches, encoder_of, source_of, token_of
 from .choose import Asked, SlotMaterial, chosen_material, decide_material
 from .report import Counts
-from .seeing import Seeing, why_unread
+from .seeing import Seeing, is_coarse, why_unread
 from .store import PatchRecord
 
 USUAL_HEIGHT_M = (0.5e-6, 2e-3)
@@ -139,13 +140,28 @@ def bake_stroke_steps(
         for patch, record in zip(patches, records, strict=True)
     )
     unread = {
-        f"material '{materials[patch.slot].shader}': {seeing.missing or why_unread(record.look)}."
-        for patch, record in zip(patches, records, strict=True)
-        if patch.slot not in chosen and record.look is not None and record.predicted is None
+        f"material '{materials[slot].shader}': {seeing.missing or why_unread(look)}."
+        for slot in materials.keys() - chosen
+        for look in _told_of(
+            record.look
+            for patch, record in zip(patches, records, strict=True)
+            if patch.slot == slot and record.look is not None and record.predicted is None
+        )
     }
     return BakedStroke(
         stroke, touched, contacts, patches, patch_index, records, fused, materials, tuple(sorted(unread))
     )
+
+
+def _told_of(looks: Iterable[Look]) -> list[Look]:
+    """Of the unread looks of a material, one for each reason and source: of those that are too coarse the finest, for
+    patches of splats have a figure each, and ten lines say no more."""
+    told: dict[tuple[bool, str], Look] = {}
+    for look in looks:
+        kind = (is_coarse(look), look.source)
+        if kind not in told or look.resolved_wavelength_m < told[kind].resolved_wavelength_m:
+            told[kind] = look
+    return list(told.values())
 
 
 def without_maps(baked: BakedStroke) -> BakedStroke:

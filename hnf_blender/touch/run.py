@@ -142,7 +142,16 @@ def _open(request: TouchRequest) -> Any:
     import bpy
 
     if request.scene is not None:
-        return open_scene(request.scene, request.out / CACHE_NAME)
+        bar = ProgressBar()
+        try:
+            said = f"reconstructing {request.scene.name}"
+            return open_scene(
+                request.scene,
+                request.out / CACHE_NAME,
+                lambda stage, share: bar.show(Progress(f"{said}: {stage}", 0, 1, share)),
+            )
+        finally:
+            bar.close()
     if not bpy.data.filepath:
         raise FileError(
             "no scene: no file is open and none was named.",

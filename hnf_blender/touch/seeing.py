@@ -115,9 +115,14 @@ def predicted_maps(prediction: Prediction) -> tuple[TactileMap, ...]:
     )  # fmt: skip
 
 
+def is_coarse(look: Look) -> bool:
+    """Does a picture show no wave that is short enough to read it?"""
+    return look.resolved_wavelength_m > COARSEST_WAVE_M
+
+
 def why_unread(look: Look) -> str:
     """What keeps a picture from being read, for the artist."""
-    if look.resolved_wavelength_m > COARSEST_WAVE_M:
+    if is_coarse(look):
         return (
             f"its picture ({look.source}) shows no wave below {look.resolved_wavelength_m * 1e3:.2g} mm, and "
             f"{COARSEST_WAVE_M * 1e3:g} mm is needed to estimate relief from it; its name and look decide"

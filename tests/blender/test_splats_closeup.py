@@ -6,11 +6,22 @@ import bpy
 import numpy as np
 import pytest
 from builders import add_plane
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from mathutils import Euler
 from splat_builders import FINE_M, HALF_M, METRES, Y_00, slab
 
+from hnf_blender.bridge.look import Look
 from hnf_blender.bridge.meshes import surface_mesh
-from hnf_blender.bridge.splat_closeup import HALF_PASS, iter_splat_closeups, linear_colour
+from hnf_blender.bridge.splat_closeup import (
+    HALF_PASS,
+    PIXELS_A_WAVE,
+    away_from,
+    iter_splat_closeups,
+    linear_colour,
+    pixels_for,
+    without_pinholes,
+)
 from hnf_blender.bridge.splat_cloud import link_cloud, new_cloud
 from hnf_core.errors import SceneError
 from hnf_core.scene.patch import CAMERA_DISTANCE_M, Patch
@@ -56,7 +67,10 @@ def test_colour_depth_faces_and_detail_are_the_slabs(splats: Splats) -> None:
     assert np.percentile(colour[:, 0], 90) == pytest.approx(linear[0], rel=0.02)
     assert np.percentile(colour[:, 0], 10) == pytest.approx(linear[1], rel=0.1)
     assert closeup.appearance.base_color == pytest.approx(tuple(colour.mean(axis=0)), rel=1e-6)
-    assert (closeup.height, closeup.renders) == (None, 2)  # with 128 pixels first, then with as many as the detail takes
+    assert (closeup.height, closeup.renders) == (
+        None,
+        2,
+    )  # with 128 pixels first, then with as many as the detail takes
     assert closeup.faces.tolist() == [0]
     assert closeup.look is not None
     assert closeup.look.source == "splats of slab.ply"
@@ -127,6 +141,51 @@ def test_stretched_and_mirrored_splats_are_refused(splats: Splats) -> None:
     plane.scale = (1.0, 1.0, -1.0)
     with pytest.raises(SceneError, match="mirrored"):
         look(plane, cloud)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(-5e-3, 5e-3), st.integers(0, 100))
+def test_a_surface_that_stands_off_its_splats_is_laid_on_them_first(off: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    true = 0.01 + 1e-3 * rng.normal(size=(16, 16))
+    shown = rng.uniform(size=true.shape) < 0.9
+    depth = true + off
+    depth[0, 0] += 3e-3
+    shown[0, 0], shown[8, 8] = True, True
+    away = away_from(depth, true, shown)
+    assert np.isinf(away[~shown]).all()
+    assert away[0, 0] == pytest.approx(3e-3)
+    rest = shown.copy()
+    rest[0, 0] = False
+    assert away[rest] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_what_lies_between_splats_is_filled_and_what_lies_beside_them_is_not() -> None:
+    own = np.ones((40, 40), dtype=bool)
+    own[:, 30:] = False
+    opacity = np.where(own, 0.9, 0.0).astype(np.float32)
+    opacity[10:12, 10:12] = 0.2
+    opacity[:, 25:30] = 0.0
+    shown = own & (opacity >= 0.5)
+    linear, depth = np.full((40, 40, 3), 0.3, np.float32), np.full((40, 40), 0.01, np.float32)
+    linear[10:12, 10:12] = depth[10:12, 10:12] = 0.0
+    mask, colour, filled = without_pinholes(shown, own, linear, depth, opacity, 12 * 0.1e-3, 0.1e-3)
+    assert mask[:, :22].all()
+    assert not mask[:, 29:].any()
+    assert colour[10:12, 10:12] == pytest.approx(0.3, rel=1e-5)
+    assert filled[10:12, 10:12] == pytest.approx(0.01, rel=1e-5)
+    assert (linear[10:12, 10:12] == 0.0).all()  # the input is left alone
+    assert without_pinholes(shown, own, linear, depth, opacity, 0.1e-3, 0.1e-3)[0][10, 10] == shown[10, 10]
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(1e-5, 0.1))
+def test_a_picture_has_as_many_pixels_as_its_detail_takes(wave: float) -> None:
+    picture = Look(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), np.float32), wave, "splats")
+    side = pixels_for(picture, TOP, 128, 512)
+    assert 128 <= side <= 512
+    assert side == 512 or side * wave >= PIXELS_A_WAVE * TOP.size_m * (1.0 - 1e-9)
+    assert pixels_for(None, TOP, 128, 512) == 128
 
 
 def test_a_faint_surface_shows_its_colour_and_not_the_black_behind() -> None:
