@@ -202,18 +202,22 @@ def ply(properties: list[str], count: int, *, before: str = "") -> bytes:
 SPLAT = [*"xyz", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"]
 
 
-@pytest.mark.parametrize("packed", [False, True])
-def test_gaussian_splats_are_recognised_and_refused(tmp_path: Path, packed: bool) -> None:
+@pytest.mark.parametrize("damage", ["cut short", "all zero", "empty", "no surface", "spz"])
+def test_splats_that_cannot_be_touched_give_one_line_and_leave_the_open_scene(tmp_path: Path, damage: str) -> None:
     before = start_up_scene()
-    path = tmp_path / "garden.ply"
-    if packed:
-        chunk = "element chunk 1\n" + "".join(f"property float min_{i}\n" for i in range(12))
-        names = ["packed_position", "packed_rotation", "packed_scale", "packed_color"]
-        path.write_bytes(ply(names, 5, before=chunk))
-    else:
-        path.write_bytes(ply([*SPLAT, "rot_0", "rot_1", "rot_2", "rot_3"], 5))
-    with pytest.raises(SceneError, match=r"Gaussian-splat scene, which is not supported yet.*mesh first"):
+    path = tmp_path / ("garden.spz" if damage == "spz" else "garden.ply")
+    names = [*SPLAT, "rot_0", "rot_1", "rot_2", "rot_3"]
+    whole = ply(names, 0 if damage == "empty" else 5)
+    if damage == "no surface":  # five faint splats far from each other
+        head, rows = ply(names, 0).replace(b"vertex 0", b"vertex 5"), np.zeros((5, len(names)), dtype="<f4")
+        rows[:, :3], rows[:, 9], rows[:, 10:13], rows[:, 13] = np.arange(15).reshape(5, 3) ** 2, -9.0, -6.0, 1.0
+        whole = head + rows.tobytes()
+    path.write_bytes(whole[:-30] if damage == "cut short" else whole)
+    with pytest.raises(HnfError) as caught:
         open_scene(path)
+    assert isinstance(caught.value, FileError | SceneError)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
     assert everything() == before
 
 
