@@ -146,7 +146,7 @@ def away_from(depth: NDArray[np.floating[Any]], true: NDArray[np.floating[Any]],
     rows, columns = (np.rint(np.array([1.0 - MIDDLE, 1.0 + MIDDLE]) * side / 2.0).astype(int) for side in depth.shape)
     middle[slice(*rows), slice(*columns)] = True
     middle &= known
-    return np.abs(away - (np.median(away[middle]) if middle.any() else 0.0))
+    return np.asarray(np.abs(away - (np.median(away[middle]) if middle.any() else 0.0)))
 
 
 def without_pinholes(
