@@ -22,10 +22,13 @@ TOUCHES = 1 << 15
 """Pairs of a splat and a tile held at once, but for the last splat's."""
 TILES = 256
 """Blended together."""
-EVALUATED = 1 << 16
+EVALUATED = 1 << 17
 """Pairs of a splat and a pixel held at once."""
 OPAQUE = np.float32(1e-5)
 """A pixel with less light left than this is done."""
+
+FAINTEST, LEAST_EXPONENT = np.float32(1e-30), np.float32(-50.0)
+"""Of light and of what is left out: subnormal numbers would take a hundred times as long to multiply."""
 
 
 @dataclass(frozen=True)
@@ -50,12 +53,13 @@ class Region:
 class Canvas:
     """What has been blended into the T tiles of a region; P = SIDE² pixels each. All (P, T).
 
-    light: float32 that is left, 0 outside the region. sums: (5, P, T) float64, Σ w of 1, z − base and the colours.
-    median: float32 z − base, inf = not reached yet.
+    light: float32 that is left, 0 outside the region. weight: float64 Σ w. sums: (6, P, T) float64, Σ w of what `_seen`
+    says. median: float32 z − base, inf = not reached yet.
     """
 
     region: Region
     light: Single
+    weight: Float
     sums: Float
     median: Single
 
@@ -65,7 +69,13 @@ class Canvas:
         light = np.zeros(shape, dtype=np.float32)
         light.reshape(region.down * SIDE, -1)[: region.height, : region.width] = 1.0
         light = np.ascontiguousarray(light.transpose(1, 3, 0, 2)).reshape(SIDE * SIDE, -1)
-        return cls(region, light, np.zeros((5, *light.shape)), np.full_like(light, np.inf))
+        zero = np.zeros((7, *light.shape))
+        return cls(region, light, zero[0], zero[1:], np.full_like(light, np.inf))
+
+    def depth(self) -> Float:
+        """(P, T) Σ w (z − base)."""
+        pixel = np.arange(SIDE * SIDE)[:, None]
+        return np.asarray(_depth(self.sums[:3], pixel), dtype=np.float64)
 
     def picture(self, values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
         """(P, T) → (height, width)."""
@@ -179,25 +189,20 @@ def _layers(canvas: Canvas, prints: Footprints, colour: Single, base: float, til
     np.subtract(np.float32(1.0), alpha, out=light[1:])
     for layer in range(len(splat)):  # multiply.accumulate takes ten times as long
         light[layer + 1] *= light[layer]
+        np.maximum(light[layer + 1], FAINTEST, out=light[layer + 1])
     canvas.light[:, tile] = light[-1]
-    plane = _plane(prints, base, left, top, splat)
-    row, column = (each.astype(np.float32)[:, None] for each in np.divmod(np.arange(SIDE * SIDE), SIDE))
+    seen = _seen(prints, colour, base, left, top, splat)
 
     pixel, which = np.nonzero((light[0] > HALF_LIGHT) & (light[-1] <= HALF_LIGHT))
     layer = np.argmax(light[1:, pixel, which] <= HALF_LIGHT, axis=0)
-    corner, aside, along = (each[layer, which] for each in plane)
-    canvas.median[pixel, tile[which]] = corner + aside * column[pixel, 0] + along * row[pixel, 0]
+    canvas.median[pixel, tile[which]] = _depth(seen[:3, layer, which], pixel)
 
     covered &= light[:-1] >= OPAQUE
     weight = alpha
     weight *= light[:-1]
     weight *= covered
-    corner, aside, along, *shades = (
-        np.einsum("lpa,la->pa", weight, each) for each in (*plane, *(channel[splat] for channel in colour))
-    )
-    found = [weight.sum(axis=0), corner + aside * column + along * row, *shades]
-    for total, part in zip(canvas.sums, found, strict=True):
-        total[:, tile] += part
+    canvas.weight[:, tile] += weight.sum(axis=0)
+    canvas.sums[:, :, tile] += np.einsum("lpa,kla->kpa", weight, seen)
     return int(np.count_nonzero(covered))
 
 
@@ -212,6 +217,7 @@ def _alpha(prints: Footprints, left: Int, top: Int, splat: Int, there: Bool) -> 
     covered = q <= np.where(there, prints.limit[splat], -1.0)[:, None, None]
     alpha = q.astype(np.float32)
     alpha *= np.float32(-0.5)
+    np.maximum(alpha, LEAST_EXPONENT, out=alpha)
     np.exp(alpha, out=alpha)
     alpha *= prints.opacity[splat].astype(np.float32)[:, None, None]
     np.minimum(alpha, np.float32(MOST_ALPHA), out=alpha)
@@ -220,9 +226,16 @@ def _alpha(prints: Footprints, left: Int, top: Int, splat: Int, there: Bool) -> 
     return alpha.reshape(shape), covered.reshape(shape)
 
 
-def _plane(prints: Footprints, base: float, left: Int, top: Int, splat: Int) -> list[Single]:
-    """(L, A) depth less base in the middle of each tile's first pixel, and its growth per pixel right and down."""
+def _seen(prints: Footprints, colour: Single, base: float, left: Int, top: Int, splat: Int) -> Single:
+    """(6, L, A): depth less base in the middle of a tile's first pixel, its growth per pixel right and down, colour."""
     along, aside = top + 0.5 - prints.v[splat], left + 0.5 - prints.u[splat]
     rise_x, rise_y = prints.rise_x[splat], prints.rise_y[splat]
     corner = prints.depth[splat] - base + rise_x * aside + rise_y * along
-    return [each.astype(np.float32) for each in (corner, rise_x, rise_y)]
+    return np.stack([each.astype(np.float32) for each in (corner, rise_x, rise_y)] + [each[splat] for each in colour])
+
+
+def _depth(plane: NDArray[np.floating[Any]], pixel: Int) -> NDArray[np.floating[Any]]:
+    """Of pixels (n,) of a tile, from depth in its first pixel and the growth right and down, (3, n, ...)."""
+    row, column = np.divmod(pixel, SIDE)
+    corner, right, down = plane
+    return np.asarray(corner + right * column + down * row)
