@@ -239,6 +239,17 @@ def test_one_thread_and_several_give_the_same_bytes():
     assert views[0].rgb.dtype == views[0].depth.dtype == views[0].median.dtype == views[0].opacity.dtype == np.float32
 
 
+def test_the_size_of_tiles_changes_nothing(monkeypatch):
+    one, camera, views = cloud(10, 200, degree=1), perspective(150, 131, focal=120.0), []
+    for side in (2, 4, 8):
+        monkeypatch.setattr(splatter, "SIDES", ((np.inf, side),))
+        views.append(render_splats(one, camera))
+    for view in views[1:]:
+        assert view.pairs == views[0].pairs
+        for this, first in zip(arrays(view), arrays(views[0]), strict=True):
+            np.testing.assert_allclose(this, first, rtol=1e-6, atol=1e-6)
+
+
 def test_work_follows_the_crop(monkeypatch):
     """A sheet of splats: those met, their colours and the pairs all shrink with the area that is looked at."""
     coloured = []

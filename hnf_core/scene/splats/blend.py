@@ -14,14 +14,12 @@ Float = NDArray[np.float64]
 Single = NDArray[np.float32]
 Bool = NDArray[np.bool_]
 
-SIDE = 4
-"""Pixels along a tile's side."""
 SPLATS = 1 << 13
 """Looked at together."""
-TOUCHES = 1 << 15
+TOUCHES = 1 << 16
 """Pairs of a splat and a tile held at once, but for the last splat's."""
-TILES = 256
-"""Blended together."""
+PIXELS = 1 << 12
+"""Blended together, in tiles."""
 EVALUATED = 1 << 17
 """Pairs of a splat and a pixel held at once."""
 OPAQUE = np.float32(1e-5)
@@ -33,25 +31,26 @@ FAINTEST, LEAST_EXPONENT = np.float32(1e-30), np.float32(-50.0)
 
 @dataclass(frozen=True)
 class Region:
-    """A rectangle of a picture, in tiles of SIDE × SIDE pixels; those on its right and lower edge may stick out."""
+    """A rectangle of a picture, in tiles of side × side pixels; those on its right and lower edge may stick out."""
 
     left: int
     top: int
     width: int
     height: int
+    side: int
 
     @property
     def across(self) -> int:
-        return -(-self.width // SIDE)
+        return -(-self.width // self.side)
 
     @property
     def down(self) -> int:
-        return -(-self.height // SIDE)
+        return -(-self.height // self.side)
 
 
 @dataclass(frozen=True)
 class Canvas:
-    """What has been blended into the T tiles of a region; P = SIDE² pixels each. All (P, T).
+    """What has been blended into the T tiles of a region; P = side² pixels each. All (P, T).
 
     light: float32 that is left, 0 outside the region. weight: float64 Σ w. sums: (6, P, T) float64, Σ w of what `_seen`
     says. median: float32 z − base, inf = not reached yet.
@@ -65,22 +64,23 @@ class Canvas:
 
     @classmethod
     def empty(cls, region: Region) -> Canvas:
-        shape = (region.down, SIDE, region.across, SIDE)
-        light = np.zeros(shape, dtype=np.float32)
-        light.reshape(region.down * SIDE, -1)[: region.height, : region.width] = 1.0
-        light = np.ascontiguousarray(light.transpose(1, 3, 0, 2)).reshape(SIDE * SIDE, -1)
+        side = region.side
+        light = np.zeros((region.down, side, region.across, side), dtype=np.float32)
+        light.reshape(region.down * side, -1)[: region.height, : region.width] = 1.0
+        light = np.ascontiguousarray(light.transpose(1, 3, 0, 2)).reshape(side * side, -1)
         zero = np.zeros((7, *light.shape))
         return cls(region, light, zero[0], zero[1:], np.full_like(light, np.inf))
 
     def depth(self) -> Float:
         """(P, T) Σ w (z − base)."""
-        pixel = np.arange(SIDE * SIDE)[:, None]
-        return np.asarray(_depth(self.sums[:3], pixel), dtype=np.float64)
+        pixel = np.arange(self.region.side**2)[:, None]
+        return np.asarray(_depth(self.sums[:3], pixel, self.region.side), dtype=np.float64)
 
     def picture(self, values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
         """(P, T) → (height, width)."""
-        whole = values.reshape(SIDE, SIDE, self.region.down, self.region.across).transpose(2, 0, 3, 1)
-        return whole.reshape(self.region.down * SIDE, -1)[: self.region.height, : self.region.width]
+        side, down, across = self.region.side, self.region.down, self.region.across
+        whole = values.reshape(side, side, down, across).transpose(2, 0, 3, 1)
+        return whole.reshape(down * side, -1)[: self.region.height, : self.region.width]
 
 
 @dataclass(frozen=True)
@@ -117,11 +117,11 @@ def blend(prints: Footprints, order: Int, colour: Single, base: float, region: R
 
 def _touches(prints: Footprints, at: int, region: Region, open_: Bool) -> tuple[Touches, int]:
     """Of the foremost splats from `at` on with the tiles that are still open, and where the next ones begin."""
-    span = np.s_[at : at + SPLATS]
-    left = np.maximum(prints.left[span] - region.left, 0) // SIDE
-    right = (np.minimum(prints.right[span] - region.left, region.width) - 1) // SIDE + 1
-    top = np.maximum(prints.top[span] - region.top, 0) // SIDE
-    bottom = (np.minimum(prints.bottom[span] - region.top, region.height) - 1) // SIDE + 1
+    span, side = np.s_[at : at + SPLATS], region.side
+    left = np.maximum(prints.left[span] - region.left, 0) // side
+    right = (np.minimum(prints.right[span] - region.left, region.width) - 1) // side + 1
+    top = np.maximum(prints.top[span] - region.top, 0) // side
+    bottom = (np.minimum(prints.bottom[span] - region.top, region.height) - 1) // side + 1
     seen = _any_open(open_.reshape(region.down, region.across), left, right, top, bottom)
     count = np.where(seen, (right - left) * (bottom - top), 0)
     taken = int(np.searchsorted(np.cumsum(count), TOUCHES)) + 1
@@ -134,7 +134,7 @@ def _touches(prints: Footprints, at: int, region: Region, open_: Bool) -> tuple[
     y, x, splat = top[which][member] + row, left[which][member] + place - row * wide[member], which[member] + at
     kept = np.flatnonzero(open_[y * region.across + x])
     y, x, splat = y[kept], x[kept], splat[kept]
-    kept = np.flatnonzero(_near(prints, splat, region.left + SIDE * x, region.top + SIDE * y))
+    kept = np.flatnonzero(_near(prints, splat, region.left + side * x, region.top + side * y, side))
     tile, splat = (y[kept] * region.across + x[kept]).astype(np.uint16), splat[kept]
     order = np.argsort(tile, kind="stable")
     found = np.bincount(tile, minlength=len(open_))
@@ -151,24 +151,24 @@ def _any_open(open_: Bool, left: Int, right: Int, top: Int, bottom: Int) -> Bool
     return np.asarray(total[bottom, right] - total[bottom, left] > total[top, right] - total[top, left])
 
 
-def _near(prints: Footprints, splat: Int, left: Int, top: Int) -> Bool:
+def _near(prints: Footprints, splat: Int, left: Int, top: Int, side: int) -> Bool:
     """False where an ellipse surely misses a tile: no pixel is nearer to it, in the Mahalanobis distance, than the
     tile's middle less what half its diagonal can make."""
-    steep, across, _ = form(prints, splat, top + (0.5 * SIDE - 0.5))
-    offset = left + 0.5 * SIDE - across
+    steep, across, _ = form(prints, splat, top + (0.5 * side - 0.5))
+    offset = left + 0.5 * side - across
     q = steep + prints.sharp[splat] * (offset * offset)
-    return np.asarray(q <= (np.square(np.sqrt(prints.limit) + np.sqrt(0.5) * SIDE * prints.narrow))[splat])
+    return np.asarray(q <= (np.square(np.sqrt(prints.limit) + np.sqrt(0.5) * side * prints.narrow))[splat])
 
 
 def _composite(canvas: Canvas, prints: Footprints, colour: Single, base: float, touches: Touches) -> int:
     """Blend them in; returns how many pairs had a part in it. Tiles go together with those that have as many splats."""
-    pairs, depths = 0, touches.end - touches.start
+    pairs, size, depths = 0, canvas.region.side**2, touches.end - touches.start
     alike = np.argsort(depths, kind="stable")
-    for first in range(0, len(alike), TILES):
-        group = alike[first : first + TILES]
+    for first in range(0, len(alike), PIXELS // size):
+        group = alike[first : first + PIXELS // size]
         tile, start, end = touches.tile[group], touches.start[group], touches.end[group]
         while len(tile):
-            layers = int(min(max(EVALUATED // (SIDE * SIDE * len(tile)), 1), (end - start).max()))
+            layers = int(min(max(EVALUATED // (size * len(tile)), 1), (end - start).max()))
             at = start + np.arange(layers)[:, None]
             there = at < end
             splat = touches.splat[np.where(there, at, 0)]
@@ -182,8 +182,9 @@ def _composite(canvas: Canvas, prints: Footprints, colour: Single, base: float, 
 def _layers(canvas: Canvas, prints: Footprints, colour: Single, base: float, tile: Int, splat: Int, there: Bool) -> int:
     """L splats, one behind the other, in each of A tiles. splat, there: (L, A)."""
     y, x = np.divmod(tile, canvas.region.across)
-    left, top = canvas.region.left + SIDE * x, canvas.region.top + SIDE * y
-    alpha, covered = _alpha(prints, left, top, splat, there)
+    side = canvas.region.side
+    left, top = canvas.region.left + side * x, canvas.region.top + side * y
+    alpha, covered = _alpha(prints, left, top, side, splat, there)
     light = np.empty((len(splat) + 1, *alpha.shape[1:]), dtype=np.float32)
     light[0] = canvas.light[:, tile]
     np.subtract(np.float32(1.0), alpha, out=light[1:])
@@ -195,7 +196,7 @@ def _layers(canvas: Canvas, prints: Footprints, colour: Single, base: float, til
 
     pixel, which = np.nonzero((light[0] > HALF_LIGHT) & (light[-1] <= HALF_LIGHT))
     layer = np.argmax(light[1:, pixel, which] <= HALF_LIGHT, axis=0)
-    canvas.median[pixel, tile[which]] = _depth(seen[:3, layer, which], pixel)
+    canvas.median[pixel, tile[which]] = _depth(seen[:3, layer, which], pixel, side)
 
     covered &= light[:-1] >= OPAQUE
     weight = alpha
@@ -206,9 +207,9 @@ def _layers(canvas: Canvas, prints: Footprints, colour: Single, base: float, til
     return int(np.count_nonzero(covered))
 
 
-def _alpha(prints: Footprints, left: Int, top: Int, splat: Int, there: Bool) -> tuple[Single, Bool]:
+def _alpha(prints: Footprints, left: Int, top: Int, side: int, splat: Int, there: Bool) -> tuple[Single, Bool]:
     """(L, P, A), and which of them count: q decides in float64, as it does for the reference. The others are 0."""
-    steps = np.arange(SIDE)[:, None]
+    steps = np.arange(side)[:, None]
     steep, across, _ = form(prints, splat[:, None], (top + steps)[None])
     q = (left + steps + 0.5) - across[:, :, None]
     q *= q
@@ -222,7 +223,7 @@ def _alpha(prints: Footprints, left: Int, top: Int, splat: Int, there: Bool) -> 
     alpha *= prints.opacity[splat].astype(np.float32)[:, None, None]
     np.minimum(alpha, np.float32(MOST_ALPHA), out=alpha)
     alpha *= covered
-    shape = (len(splat), SIDE * SIDE, len(left))
+    shape = (len(splat), side * side, len(left))
     return alpha.reshape(shape), covered.reshape(shape)
 
 
@@ -234,8 +235,8 @@ def _seen(prints: Footprints, colour: Single, base: float, left: Int, top: Int, 
     return np.stack([each.astype(np.float32) for each in (corner, rise_x, rise_y)] + [each[splat] for each in colour])
 
 
-def _depth(plane: NDArray[np.floating[Any]], pixel: Int) -> NDArray[np.floating[Any]]:
+def _depth(plane: NDArray[np.floating[Any]], pixel: Int, side: int) -> NDArray[np.floating[Any]]:
     """Of pixels (n,) of a tile, from depth in its first pixel and the growth right and down, (3, n, ...)."""
-    row, column = np.divmod(pixel, SIDE)
+    row, column = np.divmod(pixel, side)
     corner, right, down = plane
     return np.asarray(corner + right * column + down * row)

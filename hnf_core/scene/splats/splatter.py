@@ -15,11 +15,14 @@ from ..camera import Camera
 from .blend import Canvas, Region, blend
 from .cloud import Splats
 from .harmonics import colours, directions
-from .project import LOW_PASS_PX2, Int, chunks, footprints_of, front_to_back, joined
+from .project import LOW_PASS_PX2, Footprints, Int, chunks, footprints_of, front_to_back, joined
 from .view import SplatView
 
 REGION = 128
 """Pixels along a side of what one thread blends at a time."""
+SIDES = ((32.0, 2), (2000.0, 4), (np.inf, 8))
+"""(mean area of the splats' boxes up to which it is, pixels along a tile's side): small tiles waste fewer pixels on small
+splats, large ones put large splats down in fewer places. The picture is the same."""
 
 Part = TypeVar("Part")
 
@@ -36,8 +39,9 @@ def render_splats(splats: Splats, camera: Camera, *, low_pass: float = LOW_PASS_
     order, base = front_to_back(prints), float(prints.depth.min(initial=np.inf))
     tints = work.each(partial(_colours, splats, camera, prints.index), chunks(len(prints)))
     colour = np.concatenate(tints, axis=1)
+    side = _side(prints)
     regions = [
-        Region(left, top, min(REGION, camera.width - left), min(REGION, camera.height - top))
+        Region(left, top, min(REGION, camera.width - left), min(REGION, camera.height - top), side)
         for top in range(0, camera.height, REGION)
         for left in range(0, camera.width, REGION)
     ]
@@ -65,6 +69,11 @@ class _Work:
             return [function(thing) for thing in listed]
         with ThreadPoolExecutor(min(self._threads, len(listed))) as pool:
             return list(pool.map(function, listed))
+
+
+def _side(prints: Footprints) -> int:
+    area = np.mean((prints.right - prints.left) * (prints.bottom - prints.top)) if len(prints) else 0.0
+    return next(side for most, side in SIDES if area < most)
 
 
 def _colours(splats: Splats, camera: Camera, met: Int, chunk: slice) -> NDArray[np.float32]:
