@@ -21,8 +21,8 @@ from .view import SplatView
 REGION = 128
 """Pixels along a side of what one thread blends at a time."""
 SIDES = ((32.0, 2), (2000.0, 4), (np.inf, 8))
-"""(mean area of the splats' boxes up to which it is, pixels along a tile's side): small tiles waste fewer pixels on small
-splats, large ones put large splats down in fewer places. The picture is the same."""
+"""(mean area of the splats' boxes up to which it is, pixels along a tile's side): small tiles waste fewer pixels on
+small splats, large ones put large splats down in fewer places. The picture is the same."""
 
 Part = TypeVar("Part")
 
