@@ -18,6 +18,8 @@ from hnf_blender.cli import main
 from hnf_blender.touch.lock import folder_lock
 
 ROOT = Path(__file__).parents[2]
+STROKES = 5
+"""Of a run that is stopped after the first: the last is seconds away."""
 
 
 def good_and_bad(tmp_path, spoil) -> tuple[int, dict, Path]:
@@ -189,7 +191,7 @@ def finished_in(out: Path) -> list[Path]:
 
 def test_stopping_half_way_keeps_what_is_finished(tmp_path) -> None:
     ridge_plate()
-    for number in range(8):
+    for number in range(STROKES):
         line_stroke(f"Scrape {number}", centre=(0, -0.04 + 0.01 * number, 0))
     scene, out = save_scene(tmp_path / "scene.blend"), tmp_path / "out"
     words = ["touch", str(scene), "--out", str(out)]
@@ -202,11 +204,11 @@ def test_stopping_half_way_keeps_what_is_finished(tmp_path) -> None:
     _, errors = run.communicate(timeout=120)
     assert run.returncode == 1, errors.decode()
     finished = finished_in(out)
-    assert 1 <= len(finished) < 8
+    assert 1 <= len(finished) < STROKES
     code, report = touch(scene, out)
     assert code == 0
     assert sum(entry["fresh"] for entry in report["strokes"]) >= len(finished) - 1
-    assert len(report["strokes"]) == 8
+    assert len(report["strokes"]) == STROKES
     assert not list(out.glob(".*.wav"))
 
 

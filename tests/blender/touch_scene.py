@@ -8,9 +8,11 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+import pytest
 from builders import add_plane, bump_material
 
 from hnf_blender.cli import main
+from hnf_blender.touch import view
 from hnf_core.export.wav import read_wav
 from hnf_core.signal import Signal
 
@@ -60,8 +62,12 @@ def save_scene(path: Path) -> Path:
 
 
 def touch(scene: Path, out: Path, *words: str) -> tuple[int, dict]:
-    """Run the command line; exit code and report."""
-    code = main(["touch", str(scene), "--out", str(out), *words])
+    """Run the command line, its view of each stroke a quarter as large: it takes longer than the touch itself. Exit
+    code and report."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(view, "WIDTH", view.WIDTH // 2)
+        patch.setattr(view, "HEIGHT", view.HEIGHT // 2)
+        code = main(["touch", str(scene), "--out", str(out), *words])
     report = out / "report.json"
     return code, json.loads(report.read_text()) if report.is_file() else {}
 

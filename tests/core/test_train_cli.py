@@ -123,7 +123,7 @@ def test_a_run_killed_outright_is_taken_up_again(folder: Path, tmp_path: Path) -
     def start(out: Path) -> subprocess.Popen:
         words = ["train", "field", "--data", "hatt", str(folder), "--material", "Test Cloth", "--out", str(out)]
         code = "import sys; from hnf_core.cli.main import main; sys.exit(main(sys.argv[1:], lambda arguments: 1))"
-        quick = ["--seconds", "20", "--epochs", "6", "--hidden", "16", "--layers", "2"]
+        quick = ["--seconds", "8", "--epochs", "6", "--hidden", "16", "--layers", "2"]
         return subprocess.Popen(
             [sys.executable, "-c", code, *words, *quick], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
         )
