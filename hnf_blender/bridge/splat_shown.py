@@ -1,4 +1,5 @@
-"""How a cloud of splats shows in the viewport: ellipsoids by Geometry Nodes, one set of nodes for all clouds.
+"""How a cloud of splats shows in the viewport: ellipsoids by Geometry Nodes, one set of nodes for all clouds of which
+the same share is shown (Blender 5.2 takes no value for a modifier's input under the names that 4.2 to 5.0 know).
 
 Native splats of Blender 5.3 and later are not used: no such Blender could be tried.
 """
@@ -23,8 +24,7 @@ CONSTANT_HARMONIC = 0.28209479177387814
 def show_ellipsoids(cloud: Any) -> None:
     """Give a cloud its modifier. Of more than MOST_SHOWN splats every second, third, … is shown."""
     modifier = cloud.modifiers.new(MODIFIER_NAME, "NODES")
-    modifier.node_group = _group()
-    modifier[_input(modifier.node_group, "Every")] = shown_every(len(cloud.data.vertices))
+    modifier.node_group = _group(shown_every(len(cloud.data.vertices)))
 
 
 def shown_every(count: int) -> int:
@@ -32,25 +32,16 @@ def shown_every(count: int) -> int:
     return max(1, -(-count // MOST_SHOWN))
 
 
-def _input(group: Any, name: str) -> str:
-    return next(
-        str(item.identifier)
-        for item in group.interface.items_tree
-        if item.item_type == "SOCKET" and item.in_out == "INPUT" and item.name == name
-    )
-
-
-def _group() -> Any:
-    """The node group, made once in a file."""
+def _group(every: int) -> Any:
+    """The node group that shows every splat, every second, …; made once in a file."""
     import bpy
 
-    found = bpy.data.node_groups.get(GROUP_NAME)
+    name = GROUP_NAME if every == 1 else f"{GROUP_NAME}, 1 of {every}"
+    found = bpy.data.node_groups.get(name)
     if found is not None and found.bl_idname == "GeometryNodeTree" and found.library is None:
         return found
-    group = bpy.data.node_groups.new(GROUP_NAME, "GeometryNodeTree")
+    group = bpy.data.node_groups.new(name, "GeometryNodeTree")
     group.interface.new_socket("Splats", in_out="INPUT", socket_type="NodeSocketGeometry")
-    every = group.interface.new_socket("Every", in_out="INPUT", socket_type="NodeSocketInt")
-    every.default_value = every.min_value = 1
     group.interface.new_socket("Ellipsoids", in_out="OUTPUT", socket_type="NodeSocketGeometry")
     nodes, link = group.nodes, group.links.new
     given, result = nodes.new("NodeGroupInput"), nodes.new("NodeGroupOutput")
@@ -65,7 +56,7 @@ def _group() -> Any:
     instances = nodes.new("GeometryNodeInstanceOnPoints")
     link(ball.outputs["Mesh"], dressed.inputs["Geometry"])
     link(index.outputs[0], part.inputs[0])
-    link(given.outputs["Every"], part.inputs[1])
+    part.inputs[1].default_value = float(every)
     link(part.outputs[0], rest.inputs["A"])
     link(rest.outputs["Result"], instances.inputs["Selection"])
     link(given.outputs["Splats"], instances.inputs["Points"])
