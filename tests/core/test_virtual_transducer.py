@@ -66,8 +66,9 @@ def test_it_is_the_differential_equation(transducer: Transducer, seed: int) -> N
     def change(now: np.ndarray, pull: float) -> np.ndarray:
         return np.array([now[1], pull - spring * now[0] - damper * now[1]])
 
+    swing = np.abs(motion.position).max()  # its error is a part of how far it swings, also where it passes the middle
     for n, pull in enumerate(pulls):
-        assert motion.position[n, 0] == pytest.approx(state[0], rel=1e-5, abs=1e-12)
+        assert motion.position[n, 0] == pytest.approx(state[0], rel=0.0, abs=1e-5 * swing + 1e-12)
         assert motion.acceleration[n, 0] == pytest.approx(change(state, pull)[1], rel=1e-4, abs=1e-4)
         for _ in range(steps):
             one = change(state, pull)
