@@ -9,6 +9,12 @@ STANDARD_GRAVITY = 9.80665
 """m/s² in one g."""
 
 
+def srgb_to_linear(code: ArrayLike) -> NDArray[np.float64]:
+    """IEC 61966-2-1, of values from 0 to 1."""
+    code = np.asarray(code, dtype=np.float64)
+    return np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+
+
 def mm_to_m(value: float) -> float:
     return value * 1e-3
 

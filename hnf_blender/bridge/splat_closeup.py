@@ -14,6 +14,8 @@ from hnf_core.scene.camera import Camera
 from hnf_core.scene.patch import CAMERA_DISTANCE_M, Patch
 from hnf_core.scene.raycast import CastView, RayCaster, cast_view
 from hnf_core.scene.splats.cloud import Splats
+from hnf_core.scene.splats.project import on_own_axes
+from hnf_core.scene.splats.sights import linear_colour
 from hnf_core.scene.splats.splatter import render_splats
 from hnf_core.scene.splats.view import SplatView
 from hnf_core.scene.view import RgbdView
@@ -185,15 +187,6 @@ def _box_mean(values: NDArray[np.floating[Any]], side: int) -> Float:
     return np.asarray(sums / np.outer(bottom - top, right - left))
 
 
-def linear_colour(seen: SplatView) -> NDArray[np.float32]:
-    """(H, W, 3) linear colour of what is seen, without the black behind it; 0 where nothing is."""
-    opacity = np.asarray(seen.opacity, dtype=np.float32)[..., None]
-    shown = np.clip(seen.rgb / np.maximum(opacity, np.float32(1e-6)), 0.0, 1.0)
-    # IEC 61966-2-1.
-    linear = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
-    return np.where(opacity > 0.0, linear, 0.0).astype(np.float32)
-
-
 def resolved_by_splats(splats: Splats, seen: SplatView, mask: Mask) -> float:
     """Shortest wave that the picture of a patch shows, in the unit of its camera: what the finest splats pass that
     together make up FINEST_SHARE of what is seen under mask. inf where no splat is seen there.
@@ -225,17 +218,11 @@ def resolved_by_splats(splats: Splats, seen: SplatView, mask: Mask) -> float:
 def _extents(splats: Splats, turn: Float) -> tuple[Float, Float, Float]:
     """Standard deviations (N,) of splats in an orthographic view turned so (camera → frame): along the long and the
     short side of the ellipse in the picture, and along the view."""
-    w, x, y, z = splats.rotations.astype(np.float64).T / np.linalg.norm(splats.rotations, axis=1)
-    own = np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
-    axes = np.einsum("ji,jkn,nk->nik", turn, own, splats.scales.astype(np.float64))
-    spread = np.einsum("nik,njk->nij", axes, axes)
-    mean = (spread[:, 0, 0] + spread[:, 1, 1]) / 2.0
-    apart = np.hypot((spread[:, 0, 0] - spread[:, 1, 1]) / 2.0, spread[:, 0, 1])
-    return np.sqrt(mean + apart), np.sqrt(np.maximum(mean - apart, 0.0)), np.sqrt(spread[:, 2, 2])
+    right, down, forward = (np.stack(row) for row in on_own_axes(splats, np.arange(len(splats)), turn.T.tolist()))
+    along, across, both = (right * right).sum(axis=0), (down * down).sum(axis=0), (right * down).sum(axis=0)
+    mean, apart = (along + across) / 2.0, np.hypot((along - across) / 2.0, both)
+    deep = np.sqrt((forward * forward).sum(axis=0))
+    return np.sqrt(mean + apart), np.sqrt(np.maximum(mean - apart, 0.0)), deep
 
 
 def _look(

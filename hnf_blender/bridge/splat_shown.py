@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from hnf_core.scene.splats.harmonics import C0
+
 from .. import compat
 from .splat_cloud import HARMONIC, OPACITY, ROTATION, SCALE
 
@@ -18,7 +20,6 @@ MOST_SHOWN = 100_000
 """Ellipsoids of one cloud in the viewport. Each is an instance that every redraw walks over."""
 RADIUS = 1.5
 """Of an ellipsoid, in standard deviations: they then just close the surface they stand for."""
-CONSTANT_HARMONIC = 0.28209479177387814
 
 
 def show_ellipsoids(cloud: Any) -> None:
@@ -90,7 +91,7 @@ def _material() -> Any:
     constant, opacity = (_instance_attribute(tree, name) for name in (HARMONIC.format(0), OPACITY))
     colour = tree.nodes.new("ShaderNodeVectorMath")
     colour.operation = "MULTIPLY_ADD"
-    colour.inputs[1].default_value, colour.inputs[2].default_value = (CONSTANT_HARMONIC,) * 3, (0.5,) * 3
+    colour.inputs[1].default_value, colour.inputs[2].default_value = (C0,) * 3, (0.5,) * 3
     shown = tree.nodes.new("ShaderNodeVectorMath")
     shown.operation = "MAXIMUM"
     linear = tree.nodes.new("ShaderNodeGamma")

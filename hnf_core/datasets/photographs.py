@@ -10,9 +10,10 @@ from tokenize import TokenError
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..errors import FileError
+from ..units import srgb_to_linear
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -129,12 +130,6 @@ def resized(values: Float32, side: int) -> Float32:
     if values.ndim == 2:
         return one(values)
     return np.stack([one(values[..., each]) for each in range(values.shape[2])], axis=-1)
-
-
-def srgb_to_linear(code: ArrayLike) -> NDArray[np.float64]:
-    """IEC 61966-2-1, of values from 0 to 1."""
-    code = np.asarray(code, dtype=np.float64)
-    return np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
 
 
 _LINEAR_OF_CODE = srgb_to_linear(np.arange(256) / 255.0).astype(np.float32)

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..datasets.ball_calibration import BallPresses, PolynomialTable
-from ..datasets.photographs import srgb_to_linear
 from ..errors import UsageError
 from ..export.picture import linear_to_srgb
 from ..tactile.optics import SENSORS, Sensor
+from ..units import srgb_to_linear
 from . import polynomial_optics
 from .ball_press import (
     SATURATED,

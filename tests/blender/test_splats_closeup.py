@@ -18,7 +18,6 @@ from hnf_blender.bridge.splat_closeup import (
     PIXELS_A_WAVE,
     away_from,
     iter_splat_closeups,
-    linear_colour,
     pixels_for,
     without_pinholes,
 )
@@ -26,6 +25,7 @@ from hnf_blender.bridge.splat_cloud import link_cloud, new_cloud
 from hnf_core.errors import SceneError
 from hnf_core.scene.patch import CAMERA_DISTANCE_M, Patch
 from hnf_core.scene.splats.cloud import Splats
+from hnf_core.scene.splats.sights import linear_colour
 from hnf_core.scene.splats.view import SplatView
 
 PIXELS = 128

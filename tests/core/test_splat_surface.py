@@ -13,10 +13,11 @@ from splat_shapes import fog, joined, moved, sheet, sphere, torus
 from hnf_core.errors import SceneError, UsageError
 from hnf_core.scene.splats.quality import MOST_RAGGED, MOST_TRANSLUCENT, Clarity, open_share, quality
 from hnf_core.scene.splats.read import read_splats
-from hnf_core.scene.splats.sights import glance, linear, sight
+from hnf_core.scene.splats.sights import glance, sight
 from hnf_core.scene.splats.surface import SplatSurface, reconstruct
 from hnf_core.scene.splats.view import SplatView
 from hnf_core.scene.splats.viewpoints import cameras_around, looking, sphere_directions
+from hnf_core.units import srgb_to_linear
 
 SPLATS = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "splats"
 CELLS, VIEWS = 32, 20
@@ -75,7 +76,7 @@ def test_normals_are_unit_and_look_out_and_colours_are_the_splats():
     assert (np.sum(faces * corner[:, 0], axis=1) > 0.0).mean() > 0.998
     for side, colour in ((1.0, [0.9, 0.2, 0.2]), (-1.0, [0.2, 0.2, 0.9])):
         there = side * ball.vertices[:, 0] > 0.4
-        np.testing.assert_allclose(np.median(ball.colour[there], axis=0), linear(np.array(colour)), atol=0.02)
+        np.testing.assert_allclose(np.median(ball.colour[there], axis=0), srgb_to_linear(colour), atol=0.02)
     assert (ball.support >= 1).all()
     assert (ball.support <= VIEWS).all()
 

@@ -6,6 +6,7 @@ how many.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -135,7 +136,7 @@ def _footprints(splats: Splats, camera: Camera, low_pass: float, chunk: slice) -
 
     index = at + chunk.start
     deep = [np.full(len(index), axis) for axis in (0.0, 0.0, 1.0)]
-    mx, my, mz = _spread(splats, index, [[_dot(turn[i], row) for i in range(3)] for row in (*jacobian, deep)])
+    mx, my, mz = on_own_axes(splats, index, [[_dot(turn[i], row) for i in range(3)] for row in (*jacobian, deep)])
     sxx, sxy, syy = _dot(mx, mx), _dot(mx, my), _dot(my, my)
     area = _minors(mx, my)
     determinant = area + low_pass * (sxx + syy) + low_pass * low_pass
@@ -177,8 +178,9 @@ def _field(camera: Camera, focal: Float) -> list[tuple[float, float]]:
     return [(float(least[i] - margin[i]), float(most[i] + margin[i])) for i in range(2)]
 
 
-def _spread(splats: Splats, index: Int, rows: list[list[Float]]) -> list[list[Float]]:
-    """rows · R · diag(scales): linear forms of the frame, (3 entries of (N,)) each, on the splats' own axes."""
+def on_own_axes(splats: Splats, index: Int, rows: Sequence[Sequence[Any]]) -> list[list[Float]]:
+    """rows · R · diag(scales): linear forms of the frame (3 entries each, numbers or (N,)) on the own axes of those
+    splats, 3 × (N,) each. Products of two of them are covariances."""
     w, x, y, z = (splats.rotations[index, i].astype(np.float64) for i in range(4))
     norm = 2.0 / (w * w + x * x + y * y + z * z)
     rotation = [

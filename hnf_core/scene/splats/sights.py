@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...units import srgb_to_linear
 from ..camera import Camera
 from .view import SplatView
 
@@ -73,14 +74,13 @@ def sight(view: SplatView, *, kind: str = "mixed") -> Sight:
     depth = np.where(seen, chosen, np.float32(np.inf)).astype(np.float32)
     slope = np.stack([_slope(depth, 1), _slope(depth, 0)], axis=-1)
     cosine = 1.0 / np.sqrt(1.0 + np.sum(slope * slope, axis=-1))
-    colour = view.rgb / np.maximum(view.opacity, np.float32(1e-6))[..., None]
-    return Sight(view.camera, depth, slope, cosine, view.opacity.astype(np.float32), linear(colour))
+    return Sight(view.camera, depth, slope, cosine, view.opacity.astype(np.float32), linear_colour(view))
 
 
-def linear(display: NDArray[np.floating[Any]]) -> Single:
-    """sRGB (IEC 61966-2-1) → linear, clipped to [0, 1]."""
-    value = np.clip(display, 0.0, 1.0)
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
+def linear_colour(view: SplatView) -> Single:
+    """(H, W, 3) linear colour of what is seen, 0 to 1, without the black behind it; 0 where nothing is."""
+    opacity = np.asarray(view.opacity, dtype=np.float32)[..., None]
+    return srgb_to_linear(np.clip(view.rgb / np.maximum(opacity, np.float32(1e-6)), 0.0, 1.0)).astype(np.float32)
 
 
 def glance(of: Sight, points: NDArray[np.floating[Any]]) -> Glance:
