@@ -9,17 +9,16 @@ computable alone, and equal to the carriers' own waves (carriers.time_samples, c
 from __future__ import annotations
 
 from functools import lru_cache
-from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .band_waves import complex_waves, real_waves
 from .carriers import ARC_BLOCK, ARC_PER_OCTAVE, ARC_STREAM, MODEL_RATE_HZ, TIME_BLOCK, Carriers
 from .noise import band_bins, crossfade_window
 
 Float32 = NDArray[np.float32]
-Complex = NDArray[np.complex128]
 Number = TypeVar("Number", np.float32, np.complex64)
 
 HOP = TIME_BLOCK // 2
@@ -85,10 +84,9 @@ def _time_block(carriers: Carriers, seed: int, block: int) -> tuple[Float32, ...
     bins, starts = band_bins(seed, 0, block, edges, TIME_BLOCK)
     waves = []
     for level, bands in enumerate(time_levels(carriers)):
-        size = TIME_BLOCK >> level
-        spectra = _apart(bins, int(starts[0]), starts[bands.start : bands.stop + 1], size // 2 + 1)
-        wave = np.fft.irfft(spectra, size, axis=-1) * (_window(TIME_BLOCK)[:: 1 << level] / 2**level)
-        waves.append(wave.astype(np.float32))
+        own = starts[bands.start : bands.stop + 1]
+        inside = bins[own[0] - starts[0] : own[-1] - starts[0]] if len(own) > 1 else bins[:0]
+        waves.append(real_waves(inside, own, TIME_BLOCK >> level, _window(TIME_BLOCK, 1 << level)))
     return tuple(waves)
 
 
@@ -97,25 +95,13 @@ def _arc_block(carriers: Carriers, seed: int, octave: int, block: int) -> NDArra
     first = octave * ARC_PER_OCTAVE
     edges = carriers.arc_edges()[first : first + ARC_PER_OCTAVE + 1] * (carriers.arc_step_m(octave) * ARC_BLOCK)
     bins, starts = band_bins(seed, ARC_STREAM + octave, block, edges, ARC_BLOCK)
-    spectra = np.zeros((ARC_PER_OCTAVE, ARC_CELLS), dtype=np.complex128)
-    for band in range(ARC_PER_OCTAVE):
-        inside = slice(starts[band] - starts[0], starts[band + 1] - starts[0])
-        spectra[band, np.arange(starts[band] - MIDDLE, starts[band + 1] - MIDDLE) % ARC_CELLS] = bins[inside]
-    waves = np.fft.ifft(spectra, axis=-1) * ((2.0 / CELL) * _window(ARC_BLOCK)[::CELL])
-    return np.asarray(waves.astype(np.complex64))
+    return complex_waves(2.0 * bins, starts, MIDDLE, ARC_CELLS, _window(ARC_BLOCK, CELL))
 
 
-@lru_cache(maxsize=2)
-def _window(size: int) -> NDArray[np.float64]:
-    return crossfade_window(size)
-
-
-def _apart(bins: Complex, first: int, starts: NDArray[np.intp], width: int) -> Complex:
-    """A spectrum (B, width) per band out of bins, which begin at bin `first`. starts: (B + 1,) bins of the bands."""
-    spectra = np.zeros((max(len(starts) - 1, 0), width), dtype=np.complex128)
-    for band, (low, high) in enumerate(pairwise(starts.tolist())):
-        spectra[band, low:high] = bins[low - first : high - first]
-    return spectra
+@lru_cache(maxsize=8)
+def _window(size: int, step: int) -> NDArray[np.float64]:
+    """Every step-th sample of the fade of a block, over the block's length."""
+    return crossfade_window(size)[::step] / size
 
 
 def _first(waves: NDArray[Number]) -> NDArray[Number]:

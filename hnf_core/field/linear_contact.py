@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..material.contact import contact_radius, height_response, resonance_hz, tip_response, with_defaults
+from ..material.contact import contact_radius, height_power, resonance_hz, tip_response, with_defaults
 from ..material.mechanics import PROBES, Mechanics
 from .carriers import ARC_PER_OCTAVE, Carriers
 from .linear_texture import add_at, cut_lines, cut_noise, texture_of
@@ -95,13 +95,14 @@ def linear_contact(condition: Condition, carriers: Carriers) -> LinearContact:
         load = force[rows, None]
         passed[rows] = np.square(tip_response(kappa, mechanics, probe, load))
         leaned[rows] = np.square(tip_response(ASPERITY_SHARE * kappa, mechanics, probe, load))
-        response[rows] = np.square(np.abs(height_response(kappa * speed[rows, None], mechanics, probe, load)))
+        response[rows] = height_power(kappa * speed[rows, None], mechanics, probe, load)
         friction[rows] = with_defaults(mechanics).friction
         resonance[rows] = resonance_hz(mechanics, probe, force[rows])
         share = contact_radius(mechanics, probe, force[rows]) / probe.tip_radius_m
         flank[rows] = np.square(1.0 + FLANK_FRICTION * np.square(1.0 - share)) - 1.0
     hand = HAND_STIFFNESS_N_M / probe.mass_kg
-    lateral = omega**4 / (np.square(hand - omega**2) + 4.0 * HAND_DAMPING_RATIO**2 * hand * omega**2)
+    square = np.square(omega)
+    lateral = np.square(square) / (np.square(hand - square) + 4.0 * HAND_DAMPING_RATIO**2 * hand * square)
     fade = np.square(arc_gain(kappa, speed))
     wave = np.square(2.0 * np.pi * kappa)
     up, aside = response * fade, lateral * np.square(force / probe.mass_kg)[:, None] * fade
@@ -124,7 +125,7 @@ def linear_contact(condition: Condition, carriers: Carriers) -> LinearContact:
     return LinearContact(power, normal.sum(axis=1), resonance, noise, lines)
 
 
-def profile_band_power(height_power: Float, condition: Condition, carriers: Carriers) -> Float:
+def profile_band_power(height_spectrum: Float, condition: Condition, carriers: Carriers) -> Float:
     """Height power per arc band (Ka,) of a profile → acceleration power (n, Ka) along the normal; 0 out of contact."""
     kappa, probe = carriers.arc_centres(), PROBES[condition.probe]
     speed = np.maximum(condition.speed, SPEED_FLOOR_M_S)
@@ -133,8 +134,8 @@ def profile_band_power(height_power: Float, condition: Condition, carriers: Carr
         rows = np.flatnonzero((condition.material == index) & condition.contact & (condition.force > 0.0))
         load = np.maximum(condition.force[rows], FORCE_FLOOR_N)[:, None]
         tip = tip_response(kappa, mechanics, probe, load)
-        response = np.abs(height_response(kappa * speed[rows, None], mechanics, probe, load))
-        out[rows] = height_power * np.square(tip * response * arc_gain(kappa, speed[rows]))
+        response = height_power(kappa * speed[rows, None], mechanics, probe, load)
+        out[rows] = height_spectrum * response * np.square(tip * arc_gain(kappa, speed[rows]))
     return out
 
 

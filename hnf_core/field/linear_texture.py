@@ -81,18 +81,19 @@ def cut(texture: Texture, weight: Float, carriers: Carriers) -> Float:
 
 def cut_noise(texture: Texture, weight: Float, carriers: Carriers) -> Float:
     """What noise, without the lattice's tones, gives to cut(): weight (..., n, Ka) → (..., n, Ka)."""
-    weighted = texture.noise * weight
-    out, count = np.zeros_like(weighted), weighted.shape[-1]
+    # Wavenumbers first, so that a run of them is one piece of memory.
+    weighted = np.ascontiguousarray(np.moveaxis(texture.noise * weight, -1, -2))
+    out, count = np.zeros_like(weighted), weighted.shape[-2]
     # δ and 180° − δ move a wave alike, so their densities are one.
     density = (texture.density[: ANGLES // 2] + texture.density[: ANGLES // 2 - 1 : -1]) / ANGLES
     runs = np.concatenate([[0], np.flatnonzero(np.diff(texture.band)) + 1, [count]])
-    for angle, moved in zip(_GRID_ANGLES[: ANGLES // 2], density, strict=True):
+    for angle, moved in zip(_GRID_ANGLES[: ANGLES // 2], np.swapaxes(density, 1, 2), strict=True):
         shift = int(np.rint(-ARC_PER_OCTAVE * np.log2(np.abs(np.cos(angle)))))
         for low, high in pairwise(runs.tolist()):
             first = max(low, shift)
             if first < high:
-                out[..., first - shift : high - shift] += weighted[..., first:high] * moved[:, texture.band[low], None]
-    return out
+                out[..., first - shift : high - shift, :] += weighted[..., first:high, :] * moved[texture.band[low]]
+    return np.moveaxis(out, -1, -2)
 
 
 def cut_lines(texture: Texture, weight: Float, carriers: Carriers) -> tuple[Float, NDArray[np.intp]]:
@@ -127,15 +128,19 @@ def _radial(power: Float, position: Float) -> Float:
 def _angular_density(two: NDArray[np.complex128], four: NDArray[np.complex128], axis: Float, along: Float) -> Float:
     """(ANGLES, n, bands), positive, mean about 1: a truncated series, and lines where the four-fold moment is big."""
     oriented = np.square(np.clip(np.abs(four), 0.0, 1.0))
-    rows = []
-    for angle in _GRID_ANGLES:
-        # Fejér weights keep the truncated series positive.
-        series = 1.0 + 4.0 / 3.0 * np.real(two * np.exp(-2j * angle)) + 2.0 / 3.0 * np.real(four * np.exp(-4j * angle))
-        line = along * _bump(angle - axis) + (1.0 - along) * _bump(angle - axis - 0.5 * np.pi)
-        rows.append(np.maximum((1.0 - oriented) * series + oriented * line, 0.0))
-    return np.stack(rows)
+    angle = _GRID_ANGLES[:, None, None]
+    # Fejér weights keep the truncated series positive.
+    series = 1.0 + 4.0 / 3.0 * _turned(two, 2.0 * angle) + 2.0 / 3.0 * _turned(four, 4.0 * angle)
+    facing = _turned(np.exp(2j * axis), 2.0 * angle)
+    line = along * _bump(facing) + (1.0 - along) * _bump(-facing)
+    return np.maximum((1.0 - oriented) * series + oriented * line, 0.0)
 
 
-def _bump(angle: Float) -> Float:
-    """Angular density of oriented waves about 0, period 180°, mean 1 over ANGLES samples."""
-    return np.asarray(np.exp(_LINE_CONCENTRATION * (np.cos(2.0 * angle) - 1.0)) / _BUMP_MEAN)
+def _turned(moment: NDArray[np.complex128], angle: Float) -> Float:
+    """Re(moment e^{−i angle})."""
+    return np.asarray(moment.real * np.cos(angle) + moment.imag * np.sin(angle))
+
+
+def _bump(facing: Float) -> Float:
+    """Angular density of oriented waves, mean 1 over ANGLES samples, by cos 2δ of the angle δ to them."""
+    return np.asarray(np.exp(_LINE_CONCENTRATION * (facing - 1.0)) / _BUMP_MEAN)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 WORD = 0xFFFF_FFFF_FFFF_FFFF
+_WORDS_A_COUNT = 4
 
 
 def normal_block(seed: int, stream: int, block: int, count: int) -> NDArray[np.float64]:
@@ -18,18 +19,26 @@ def normal_block(seed: int, stream: int, block: int, count: int) -> NDArray[np.f
     its own normal sampler, and the same seed must give the same bytes.
     """
     pairs = (count + 1) // 2
-    radius, angle = _polar(_uniform(seed, stream, block, 2 * pairs), pairs, slice(None))
+    radius, angle = _polar(seed, stream, block, pairs, slice(0, pairs))
     return np.asarray(np.concatenate([radius * np.cos(angle), radius * np.sin(angle)])[:count])
 
 
-def _uniform(seed: int, stream: int, block: int, count: int) -> NDArray[np.float64]:
-    bits = np.random.Philox(key=(seed & WORD) | ((stream & WORD) << 64), counter=(block & WORD) << 64)
-    return np.asarray(((bits.random_raw(count) >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53)
+def _uniform(seed: int, stream: int, block: int, first: int, last: int) -> NDArray[np.float64]:
+    """Numbers first … last − 1 of a block, in 0 … 1; what lies before them is not drawn."""
+    skipped = first // _WORDS_A_COUNT
+    bits = np.random.Philox(key=(seed & WORD) | ((stream & WORD) << 64), counter=((block & WORD) << 64) + skipped)
+    words = bits.random_raw(last - _WORDS_A_COUNT * skipped)[first - _WORDS_A_COUNT * skipped :]
+    return np.asarray(((words >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53)
 
 
-def _polar(uniform: NDArray[np.float64], pairs: int, rows: slice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Radius and angle of the pairs in rows: their cosine and sine parts are normal (Box & Muller 1958)."""
-    return np.sqrt(-2.0 * np.log(uniform[:pairs][rows])), 2.0 * np.pi * uniform[pairs:][rows]
+def _polar(
+    seed: int, stream: int, block: int, pairs: int, rows: slice
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Radius and angle of those in rows of a block's pairs: their cosine and sine parts are normal (Box & Muller
+    1958)."""
+    radius = _uniform(seed, stream, block, rows.start, rows.stop)
+    angle = _uniform(seed, stream, block, pairs + rows.start, pairs + rows.stop)
+    return np.sqrt(-2.0 * np.log(radius)), 2.0 * np.pi * angle
 
 
 def band_spectra(seed: int, stream: int, block: int, edges: NDArray[np.float64], size: int) -> NDArray[np.complex128]:
@@ -50,16 +59,18 @@ def band_bins(
     seed: int, stream: int, block: int, edges: NDArray[np.float64], size: int
 ) -> tuple[NDArray[np.complex128], NDArray[np.intp]]:
     """The bins of band_spectra that are not zero, one band after another, and the first bin of each band and of what
-    follows the last, (B + 1,). Numbers that no band holds are drawn but not made normal."""
+    follows the last, (B + 1,). Numbers that no band holds are not drawn."""
     starts = np.clip(np.ceil(edges).astype(np.intp), 1, size // 2)
     widths = np.diff(starts)
     if np.any(widths <= 0):
         raise ValueError(f"band {int(np.argmax(widths <= 0))} holds no bin of a period of {size} samples")
     count = size // 2 + 1
-    radius, angle = _polar(_uniform(seed, stream, block, 2 * count), count, slice(starts[0], starts[-1]))
+    radius, angle = _polar(seed, stream, block, count, slice(int(starts[0]), int(starts[-1])))
     # Each of n bins is complex normal of variance 2, mirrored: the period's mean power is 4 n / size².
     level = np.repeat(size / np.sqrt(4.0 * widths), widths)
-    return radius * level * (np.cos(angle) + 1j * np.sin(angle)), starts
+    bins = np.empty(len(radius), dtype=np.complex128)
+    bins.real, bins.imag = radius * level * np.cos(angle), radius * level * np.sin(angle)
+    return bins, starts
 
 
 def crossfade_window(size: int) -> NDArray[np.float64]:

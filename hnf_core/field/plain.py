@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..action.action import Action
 from .carriers import Carriers
 from .modulation import arc_term, interpolate, time_term
-from .timeline import SAMPLES_PER_STATE, cubic
+from .timeline import SAMPLES_PER_STATE, cubic, cubic_samples
 
 Float = NDArray[np.float64]
 
@@ -37,14 +37,14 @@ def plain_texture(
 
 def position(action: Action, start: int, count: int) -> Float:
     """s(t) [m] at samples start … of the model rate, held beyond the stroke."""
-    return cubic(action.position, (start + np.arange(count)) / SAMPLES_PER_STATE)
+    return cubic_samples(action.position, start, count)
 
 
 def position_beyond(action: Action, start: int, count: int) -> Float:
     """position() that goes on as fast as it began and ended, for filters that look beyond the stroke."""
     sample = start + np.arange(count)
     last = (len(action.position) - 1) * SAMPLES_PER_STATE
-    inside = np.clip(sample, 0, last)
     ends = cubic(action.position, np.array([0.0, 1.0, last - 1.0, last]) / SAMPLES_PER_STATE)
     speed = np.where(sample < 0, ends[1] - ends[0], ends[3] - ends[2])
-    return np.asarray(cubic(action.position, inside / SAMPLES_PER_STATE) + (sample - inside) * speed)
+    beyond = sample - np.clip(sample, 0, last)
+    return np.asarray(position(action, start, count) + beyond * speed)

@@ -36,7 +36,7 @@ from .timeline import (
     action_at,
     condition_of,
     sample_count,
-    smooth,
+    smooth_samples,
     states_about,
     states_in,
     states_of,
@@ -326,7 +326,7 @@ def contact_term(prepared: Prepared, start: int, count: int) -> Float:
     if np.all(prepared.force[around] == prepared.force[around.start]):
         out = np.zeros(count)
     else:
-        force = smooth(prepared.force, (margin_start + np.arange(margin_count)) / SAMPLES_PER_STATE)
+        force = smooth_samples(prepared.force, margin_start, margin_count)
         out = prepared.bank.force_term(force, start)
     if prepared.bands is not None and prepared.profile_amplitude is not None:
         height = arc_term(

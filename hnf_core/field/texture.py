@@ -40,7 +40,7 @@ _TAPS = 6
 """On either side of the filter that reads halfway between two samples: −90 dB up to HIGHEST."""
 REACH = max(margin << level for level, margin in enumerate(MARGINS))
 _READ_CELLS = 4
-_ROWS = 24
+_ROWS = 48
 """Knots whose bands are summed at once: a sample needs two of the sums."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -111,13 +112,8 @@ def cubic(values: Float, place: Float) -> Float:
     padded = np.concatenate(
         [[2 * values[0] - values[min(1, last)]], values, [2 * values[-1] - values[max(last - 1, 0)]]]
     )
-    before, here, after, beyond = (padded[np.minimum(low + k, last + 2)] for k in range(4))
-    return np.asarray(
-        here
-        + 0.5 * t * (after - before)
-        + t**2 * (before - 2.5 * here + 2.0 * after - 0.5 * beyond)
-        + 0.5 * t**3 * (beyond - before + 3.0 * (here - after))
-    )
+    weights = _through(t)
+    return np.asarray(sum(w * padded[np.minimum(low + k, last + 2)] for k, w in enumerate(weights)))
 
 
 def smooth(values: Float, place: Float) -> Float:
@@ -128,6 +124,62 @@ def smooth(values: Float, place: Float) -> Float:
     """
     last = len(values) - 1
     low = np.floor(place).astype(int)
-    t = place - low
-    weights = ((1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3)
-    return np.asarray(sum(w * values[np.clip(low + k - 1, 0, last)] for k, w in enumerate(weights)) / 6.0)
+    weights = _beside(place - low)
+    return np.asarray(sum(w * values[np.clip(low + k - 1, 0, last)] for k, w in enumerate(weights)))
+
+
+def cubic_samples(values: Float, start: int, count: int) -> Float:
+    """cubic() of states (n,) at samples start … start + count − 1 of the model rate, (count,)."""
+    last = len(values) - 1
+    ends = 2 * values[0] - values[min(1, last)], 2 * values[-1] - values[max(last - 1, 0)]
+    padded = np.concatenate([ends[:1], values, ends[1:]])
+
+    def control(state: NDArray[np.intp]) -> Float:
+        inside = padded[np.clip(state[:, None] + np.arange(4), 0, last + 2)]
+        return np.where(state[:, None] < 0, values[0], np.where(state[:, None] >= last, values[-1], inside))
+
+    return _samples(control, _through(_SHARES), start, count)
+
+
+def smooth_samples(values: Float, start: int, count: int) -> Float:
+    """smooth() of states (n,) at samples start … start + count − 1 of the model rate, (count,)."""
+    last = len(values) - 1
+    return _samples(
+        lambda state: values[np.clip(state[:, None] + np.arange(-1, 3), 0, last)], _beside(_SHARES), start, count
+    )
+
+
+def _samples(control: Callable[[NDArray[np.intp]], Float], weights: tuple[Float, ...], start: int, count: int) -> Float:
+    """A state's samples lie at the same shares of the way to the next: their weights are the same for every state.
+
+    control: states (m,) → the four values about each, (m, 4).
+    """
+    first = start // SAMPLES_PER_STATE
+    four = control(np.arange(first, (start + max(count, 1) - 1) // SAMPLES_PER_STATE + 1))
+    out = four[:, :1] * weights[0]
+    for tap in range(1, 4):
+        out += four[:, tap : tap + 1] * weights[tap]
+    return np.asarray(out.reshape(-1)[start - first * SAMPLES_PER_STATE :][:count])
+
+
+def _through(t: Float) -> tuple[Float, ...]:
+    """Catmull–Rom weights of the four values about a place, t on the way from the second to the third."""
+    return (
+        0.5 * t * (2.0 * t - 1.0 - t**2),
+        1.0 + t**2 * (1.5 * t - 2.5),
+        0.5 * t * (1.0 + 4.0 * t - 3.0 * t**2),
+        0.5 * t**2 * (t - 1.0),
+    )
+
+
+def _beside(t: Float) -> tuple[Float, ...]:
+    """The same of the cubic B-spline."""
+    return (
+        (1.0 - t) ** 3 / 6.0,
+        (3.0 * t**3 - 6.0 * t**2 + 4.0) / 6.0,
+        (-3.0 * t**3 + 3.0 * t**2 + 3.0 * t + 1.0) / 6.0,
+        t**3 / 6.0,
+    )
+
+
+_SHARES = np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE

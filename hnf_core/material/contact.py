@@ -103,6 +103,17 @@ def height_response(frequency_hz: ArrayLike, mechanics: Mechanics, probe: Probe,
     return _ratio(-np.square(omega) * spring_and_damper, denominator)
 
 
+def height_power(frequency_hz: ArrayLike, mechanics: Mechanics, probe: Probe, force_n: ArrayLike) -> Float:
+    """|height_response|² [(m/s² per m)²], at a fifth of its cost; arguments broadcast."""
+    omega = 2.0 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
+    square = np.square(omega)
+    stiffness = contact_stiffness(mechanics, probe, force_n)
+    damped = 4.0 * with_defaults(mechanics).damping_ratio ** 2 * stiffness * probe.mass_kg * square
+    above = np.square(square) * (np.square(stiffness) + damped)
+    below = np.square(stiffness - probe.mass_kg * square) + damped
+    return np.divide(above, below, out=np.zeros(np.broadcast_shapes(above.shape, below.shape)), where=below != 0.0)
+
+
 def force_response(frequency_hz: ArrayLike, mechanics: Mechanics, probe: Probe, force_n: ArrayLike) -> Complex:
     """Change of pressing force [N] → probe acceleration [m/s²] along the normal; complex, arguments broadcast.
 

@@ -100,6 +100,14 @@ def test_no_contact_passes_no_profile_and_stays_finite():
     assert contact.contact_radius(UNKNOWN, PROBES["pen"], 0.0) == 0.0
 
 
+def test_power_is_the_square_of_the_response():
+    f, force = np.linspace(0.0, 5000.0, 40), np.array([[0.0], [0.02], [3.0]])
+    for probe in PROBES.values():
+        response = contact.height_response(f, Mechanics(3e4, 0.05, 0.3), probe, force)
+        power = contact.height_power(f, Mechanics(3e4, 0.05, 0.3), probe, force)
+        np.testing.assert_allclose(power, np.square(np.abs(response)), rtol=1e-9)
+
+
 def test_force_and_frequency_broadcast():
     f, force = np.linspace(1, 1000, 7), np.array([[0.5], [1.0], [2.0]])
     for response in (contact.height_response, contact.force_response, contact.tip_response):

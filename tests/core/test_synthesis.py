@@ -5,6 +5,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.errors import StrokeError, UsageError
@@ -13,6 +15,7 @@ from hnf_core.field.field import Field, FieldConfig, initial_parameters
 from hnf_core.field.reference import synthesise_reference
 from hnf_core.field.stroke import HeightProfile, StrokeInput, uniform_stroke
 from hnf_core.field.synthesis import prepare, render_block, synthesise, texture_term
+from hnf_core.field.timeline import SAMPLES_PER_STATE, cubic, cubic_samples, smooth, smooth_samples
 from hnf_core.field.weights import load_field
 from hnf_core.material.mechanics import Mechanics
 from hnf_core.material.token import BAND_FEATURES, TOKEN_DIM
@@ -193,6 +196,14 @@ def test_the_action_rate_does_not_change_the_touch():
     _, first = welch(synthesise(linear_field(), uniform_stroke(slow, rough_token(), WOOD), seed=1).signal.samples, 1e4)
     _, second = welch(synthesise(linear_field(), uniform_stroke(fast, rough_token(), WOOD), seed=1).signal.samples, 1e4)
     assert spectrum_distance_db(first[1:101], second[1:101]) < 0.3
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.floats(-5.0, 5.0), min_size=1, max_size=30), st.integers(-4000, 4000), st.integers(1, 700))
+def test_states_read_at_every_sample_are_read_anywhere(states, start, count):
+    values, place = np.array(states), (start + np.arange(count)) / SAMPLES_PER_STATE
+    np.testing.assert_allclose(cubic_samples(values, start, count), cubic(values, place), atol=1e-12)
+    np.testing.assert_allclose(smooth_samples(values, start, count), smooth(values, place), atol=1e-12)
 
 
 def test_a_slow_force_ramp_does_not_hum():

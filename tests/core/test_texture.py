@@ -1,6 +1,7 @@
 """The fast carriers against the plain ones: equal to −57 dB (−65 in the median), hop by hop, whatever the hand does."""
 
 import dataclasses
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
+from hnf_core.field.band_waves import complex_waves, real_waves
 from hnf_core.field.carriers import ARC_BLOCK, Carriers
 from hnf_core.field.hops import ARC_HOP, CELL, HOP, MARGINS, MIDDLE, arc_hop, time_hop, time_levels
 from hnf_core.field.knots import Knots
@@ -132,6 +134,19 @@ def test_bins_are_those_of_the_white_spectrum(seed, block):
     level = np.repeat(size / np.sqrt(4.0 * np.diff(starts)), np.diff(starts))
     np.testing.assert_allclose(bins, white[20:77] * level, rtol=1e-12, atol=1e-12)
     np.testing.assert_array_equal(band_spectra(seed, 5, block, edges, size).sum(axis=0)[20:77], bins)
+
+
+@pytest.mark.parametrize("size", [256, 2048])
+def test_waves_of_a_few_bins_are_the_inverse_transform(size):
+    generator, starts = np.random.default_rng(size), np.array([3, 4, 21, 53, 90])  # the last is left to the transform
+    bins = generator.standard_normal(87) + 1j * generator.standard_normal(87)
+    spectra = np.zeros((4, size), dtype=np.complex128)
+    for band, (low, high) in enumerate(pairwise(starts)):
+        spectra[band, low:high] = bins[low - 3 : high - 3]
+    window, waves = generator.random(size), size * np.fft.ifft(spectra)
+    np.testing.assert_allclose(real_waves(bins, starts, size, window), 2.0 * waves.real * window, atol=2e-5)
+    lower = size * np.fft.ifft(np.roll(spectra[:3], -10, axis=1)) * window
+    np.testing.assert_allclose(complex_waves(bins[:50], starts[:4], 10, size, window), lower, atol=2e-5)
 
 
 def test_a_band_without_a_bin_is_refused():
