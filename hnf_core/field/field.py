@@ -20,6 +20,7 @@ from .carriers import Carriers
 from .features import build_inputs, input_size
 from .linear_contact import Condition
 from .lines import GAINS, line_power
+from .network import heads
 from .ranges import Ranges
 from .rendering import render_weights
 
@@ -146,11 +147,8 @@ def before_gate(model: Field, condition: Condition) -> tuple[Float, Float, Float
         config.line_gains,
         config.stroke_frame,
     )
-    hidden = inputs.x.astype(np.float32)
-    for layer in range(config.layers):
-        hidden = np.maximum(hidden @ weights[f"layer{layer}.weight"].T + weights[f"layer{layer}.bias"], 0.0)
-    head = (hidden @ weights["alpha.weight"].T + weights["alpha.bias"]).astype(np.float64)
-    alpha = head.reshape(len(head), config.alpha_heads, config.alpha_outputs)
+    head, sigma = heads(weights, config.layers, inputs.x.astype(np.float32))
+    alpha = head.astype(np.float64).reshape(len(head), config.alpha_heads, config.alpha_outputs)
     alpha, gains = (alpha[..., :-GAINS], alpha[:, 0, -GAINS:]) if config.line_gains else (alpha, None)
     prior, tones = np.split(inputs.prior, [config.carriers.count], axis=1)
     expansion, first = config.expansion(), config.carriers.arc_slice.start
@@ -163,7 +161,6 @@ def before_gate(model: Field, condition: Condition) -> tuple[Float, Float, Float
     if gains is not None:
         ringing = line_power(gains, tones, config.carriers.arc_count, LOG_AMPLITUDE_CEILING)
         alpha[:, 0, config.carriers.arc_slice] = np.sqrt(np.square(alpha[:, 0, config.carriers.arc_slice]) + ringing)
-    sigma = hidden @ weights["sigma.weight"].T + weights["sigma.bias"]
     sigma_dt = np.logaddexp(0.0, sigma.astype(np.float64))
     return alpha, sigma_dt, inputs.gate
 

@@ -7,7 +7,10 @@ import threading
 import numpy as np
 import pytest
 
+from hnf_core.bench.synth import forget_carriers, ten_seconds
 from hnf_core.blas import one_blas_thread, openblas_threads
+from hnf_core.field.synthesis import synthesise
+from hnf_core.field.weights import load_field
 
 
 @pytest.fixture
@@ -58,3 +61,15 @@ def test_products_are_the_same(threads):
     many = one @ other
     with one_blas_thread():
         np.testing.assert_allclose(one @ other, many, rtol=1e-12, atol=1e-12)
+
+
+def test_a_stroke_has_the_same_bytes_on_any_number_of_threads(threads):
+    count, choose = openblas_threads()
+    stroke, found = ten_seconds(1.5), []
+    for number in (1, 2):
+        choose(number)
+        assert count() == number
+        forget_carriers()
+        found.append(synthesise(load_field(), stroke, seed=4).signal.samples)
+    assert np.ptp(found[0]) > 0.1
+    np.testing.assert_array_equal(*found)
