@@ -15,12 +15,12 @@ from hnf_core.cli.progress import Progress, ProgressBar
 from hnf_core.cli.touch import TouchRequest
 from hnf_core.errors import FileError
 from hnf_core.files import content_hash
+from hnf_core.folder_lock import folder_lock
 
 from ..bridge.importers import metres_per_unit, open_scene
 from .deliver import deliver, save_baked
 from .feel import BakedStroke, feel
 from .jobs import Gathered, Job, Session, gather
-from .lock import folder_lock
 from .outside import outside_files
 from .plan import TYPICAL_PATH_M, Fresh, Needed, Plan, patches_at_most
 from .probe_report import probe_line

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import socket
 import time
@@ -11,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..errors import FileError
+from ..folder_lock import folder_lock
 from .attempt import RUN_NAME
 from .cluster import check_workers, outcomes, workers_of
 from .inputs import version
@@ -84,26 +83,8 @@ def run_batch(
 def held(folder: Path) -> Iterator[str]:
     """Hold the folder for one batch, which is named in it while it may go on. Raises FileError where it cannot be made
     or another batch holds it."""
-    path = folder / RUN_NAME
     run = f"{socket.gethostname()}-{os.getpid()}-{time.time_ns()}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        stream = path.open("a", encoding="utf-8")
-    except OSError as error:
-        raise FileError(
-            f"cannot be used as the output folder ({error.strerror}).",
-            where=str(folder),
-            remedy="Give --out a folder that you may write to.",
-        ) from error
-    with stream:
-        try:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise FileError(
-                "another batch is writing to this folder.",
-                where=str(folder),
-                remedy="Wait for it, or give another --out.",
-            ) from error
+    with folder_lock(folder, "batch", RUN_NAME):
         _say(folder, run)
         sweep(folder)
         try:

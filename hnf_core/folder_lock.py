@@ -8,20 +8,22 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-from hnf_core.errors import FileError
+from .errors import FileError
 
 LOCK_NAME = ".hnf-lock"
 
 
 @contextmanager
-def folder_lock(folder: Path) -> Iterator[None]:
+def folder_lock(folder: Path, kind: str = "run", name: str = LOCK_NAME) -> Iterator[None]:
     """Hold folder for this process; the operating system lets go of it if the process dies.
+
+    kind: what holds it, for the refusal to name. name: of the file in it that is locked.
 
     Raises FileError when the folder cannot be made or another run holds it.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        stream = (folder / LOCK_NAME).open("a+")
+        stream = (folder / name).open("a+")
     except OSError as error:
         raise FileError(
             f"cannot be used as the output folder ({error.strerror}).",
@@ -31,7 +33,7 @@ def folder_lock(folder: Path) -> Iterator[None]:
     with stream:
         if not _try_lock(stream):
             raise FileError(
-                "another run is writing to this folder.",
+                f"another {kind} is writing to this folder.",
                 where=str(folder),
                 remedy="Wait for it, or give another --out.",
             )
