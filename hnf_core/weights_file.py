@@ -33,9 +33,10 @@ class Kind:
 
 @dataclass(frozen=True)
 class WeightsFile:
-    """tensors: as they are stored, unchecked. metadata: all text. content_id: of the file's bytes."""
+    """where: it lies, for messages. tensors: as they are stored, unchecked. metadata: all text. content_id: of the
+    file's bytes."""
 
-    path: Path
+    where: str
     kind: Kind
     tensors: Mapping[str, NDArray[Any]]
     metadata: Mapping[str, str]
@@ -43,7 +44,7 @@ class WeightsFile:
 
     def refused(self, what: str) -> WeightsError:
         """To raise where the file cannot be used."""
-        return WeightsError(what, where=str(self.path), remedy=self.kind.again)
+        return WeightsError(what, where=self.where, remedy=self.kind.again)
 
     def described(self, read: Callable[[Mapping[str, str]], T]) -> T:
         """What read makes of the metadata. Raises WeightsError where it raises KeyError, TypeError or ValueError."""
@@ -74,12 +75,16 @@ class WeightsFile:
 
 def read_weights(path: Path, kind: Kind) -> WeightsFile:
     """Raises FileError where there is no file, WeightsError where it is damaged, too large, or of another format."""
-    data = read_limited(path, kind.name, "Check the path.")
+    return parse_weights(read_limited(path, kind.name, "Check the path."), kind, str(path))
+
+
+def parse_weights(data: bytes, kind: Kind, where: str) -> WeightsFile:
+    """The same of a file's bytes. Raises WeightsError where they are damaged or of another format."""
     try:
         tensors, metadata = unpacked(data)
     except ValueError as error:
-        raise WeightsError(f"{error}.", where=str(path), remedy="Get the file again.") from error
-    file = WeightsFile(path, kind, tensors, metadata, content_hash(data))
+        raise WeightsError(f"{error}.", where=where, remedy="Get the file again.") from error
+    file = WeightsFile(where, kind, tensors, metadata, content_hash(data))
     if metadata.get("format") != kind.format:
         found = metadata.get("format", "no format")
         raise file.refused(f"{kind.foreign} ({found}, not {kind.format}).")

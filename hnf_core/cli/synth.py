@@ -20,6 +20,7 @@ from ..errors import UsageError
 from ..export.wav import write_wav
 from ..field.carriers import MODEL_RATE_HZ
 from ..field.field import Field
+from ..field.learned import field_of
 from ..field.stroke import StrokeInput, uniform_stroke
 from ..field.synthesis import synthesise
 from ..field.weights import field_for, load_field, own_material
@@ -142,5 +143,8 @@ def _known(material: str | None, weights: Path | None) -> tuple[Field, LibraryMa
         return field, own_material(field, str(weights))
     if material.lower().endswith(SUFFIX):
         described = read_hnf(Path(material))
+        learned = field_of(described)
+        if learned is not None:
+            return learned, own_material(learned, material)
         return field_for(split_encoders(described.encoder)), completed(described)
     return load_field(), find(material)

@@ -24,12 +24,6 @@ if TYPE_CHECKING:
     from ..datasets.recording import Recording
     from ..training.material import Trained
 
-LICENCES = {
-    "hatt": "trained on the Penn Haptic Texture Toolkit: non-profit research only, not to be redistributed",
-    "cluster": "trained on the Cluster Haptic Texture Database (CC BY 4.0, doi 10.6084/m9.figshare.29438288)",
-    "lmt": "trained on the LMT haptic texture database: its own terms apply",
-    "simulated": "GPL-3.0-or-later",
-}
 SUBJECTS: tuple[Callable[[Any], object], ...] = (_add_tactile_map, _add_encoder, _add_alignment)
 """What else can be trained: each adds a parser that names its own runner as the default of `run`."""
 
@@ -110,6 +104,8 @@ def _open(words: list[str]) -> tuple[str, DataSet]:
 def _train(
     arguments: argparse.Namespace, kind: str, data: DataSet, recordings: list[Recording]
 ) -> tuple[Trained, dict[str, Any]]:
+    from ..datasets.catalogue import LICENCES
+
     with torch_for("training"):
         from ..training.own_material import Choices, train_own
     checkpoint = arguments.out.with_name(f"{arguments.out.name}.checkpoint")

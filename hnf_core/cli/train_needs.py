@@ -8,6 +8,10 @@ from contextlib import contextmanager
 
 from ..errors import HnfError, UsageError
 
+LEAST_PYTHON = (3, 11)
+PACKAGES = {"numpy": "numpy>=1.24", "safetensors": "safetensors==0.8.0", "torch": "torch==2.13.0"}
+"""What `hnf train field` imports → what pip is asked for, as pyproject.toml pins it."""
+
 
 @contextmanager
 def torch_for(what: str) -> Iterator[None]:

@@ -14,6 +14,13 @@ from .simulated import SimulatedLibrary
 
 _FOLDERS: dict[str, Callable[[Path], DataSet]] = {"hatt": HattFolder, "cluster": ClusterFolder, "lmt": LmtFolder}
 KINDS = (*_FOLDERS, "simulated")
+LICENCES = {
+    "hatt": "trained on the Penn Haptic Texture Toolkit: non-profit research only, not to be redistributed",
+    "cluster": "trained on the Cluster Haptic Texture Database (CC BY 4.0, doi 10.6084/m9.figshare.29438288)",
+    "lmt": "trained on the LMT haptic texture database: its own terms apply",
+    "simulated": "GPL-3.0-or-later",
+}
+"""What weights that were trained on a kind say of themselves."""
 
 
 def open_dataset(kind: str, folder: Path | None) -> DataSet:

@@ -11,8 +11,9 @@ from ..material.hnf_file import SUFFIX, MaterialFile, completed, read_hnf
 from ..material.library import find
 from ..material.material import LibraryMaterial
 from .field import Field
+from .learned import field_of
 from .live import LiveSynthesis
-from .weights import load_field
+from .weights import load_field, own_material
 
 AnyMaterial = str | Path | LibraryMaterial | MaterialFile
 """A name of the library, a `.hnf` file, or what was read from either."""
@@ -25,24 +26,34 @@ def material_of(material: AnyMaterial) -> LibraryMaterial:
     """
     if isinstance(material, LibraryMaterial):
         return material
-    if isinstance(material, MaterialFile):
-        return completed(material)
-    if isinstance(material, Path) or material.lower().endswith(SUFFIX):
-        return completed(read_hnf(Path(material)))
-    return find(material)
+    definition = _definition(material)
+    return find(str(material)) if definition is None else completed(definition)
 
 
 def synthesis_for_material(
     *materials: AnyMaterial, seed: int = 0, probe: str = "pen", field: Field | None = None
 ) -> LiveSynthesis:
-    """Materials 0, 1, … under a hand. field: None is the shared one. Takes some 50 ms, as its first noise is made.
+    """Materials 0, 1, … under a hand. field: None is that of a single material that brings one, else the shared one.
+    Takes some 50 ms, as its first noise is made.
 
     Raises what material_of() and LiveSynthesis raise.
     """
     if not materials:
         raise UsageError("there is nothing to touch.", remedy="Name a material.")
+    if len(materials) == 1 and field is None:
+        definition = _definition(materials[0])
+        field = None if definition is None else field_of(definition)
+        if definition is not None and field is not None:
+            materials = (own_material(field, definition.name),)
     known = [material_of(material) for material in materials]
     tokens = np.stack([material.token for material in known])
     return LiveSynthesis(
         load_field() if field is None else field, tokens, [each.mechanics for each in known], seed=seed, probe=probe
     )
+
+
+def _definition(material: AnyMaterial) -> MaterialFile | None:
+    """What a file says, where material is or names one."""
+    if isinstance(material, Path) or (isinstance(material, str) and material.lower().endswith(SUFFIX)):
+        return read_hnf(Path(material))
+    return material if isinstance(material, MaterialFile) else None

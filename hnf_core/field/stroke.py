@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,9 @@ from ..errors import StrokeError
 from ..material.mechanics import Mechanics
 from ..material.token import TOKEN_DIM
 from ..signal import Signal
+
+if TYPE_CHECKING:
+    from .field import Field
 
 LIMITS = {
     "action rate [Hz]": (1e-3, 1e6),
@@ -58,6 +62,8 @@ class StrokeInput:
 
     action: u(t). tokens: (M, TOKEN_DIM) the materials it meets. mechanics: (M,) of the same materials. token_index:
     (n,) int32, which material at each action sample. profile: height under the path, or None where none is resolved.
+    fields: (M,) what was trained for each material alone, None = nothing; () = for none of them. It is parts.py that
+    asks for them.
     Raises StrokeError where these do not fit together or leave LIMITS.
     """
 
@@ -66,6 +72,7 @@ class StrokeInput:
     mechanics: tuple[Mechanics, ...]
     token_index: NDArray[np.int32]
     profile: HeightProfile | None = None
+    fields: tuple[Field | None, ...] = ()
 
     def __post_init__(self) -> None:
         problem = _problem(self)
@@ -93,6 +100,8 @@ def _problem(stroke: StrokeInput) -> str:
         return f"tokens have shape {stroke.tokens.shape}, not (M, {TOKEN_DIM})."
     if len(stroke.mechanics) != len(stroke.tokens):
         return f"{len(stroke.tokens)} tokens but {len(stroke.mechanics)} mechanics."
+    if stroke.fields and len(stroke.fields) != len(stroke.tokens):
+        return f"{len(stroke.tokens)} tokens but {len(stroke.fields)} fields."
     if stroke.token_index.shape != (samples,):
         return f"token_index has shape {stroke.token_index.shape}, not ({samples},)."
     if samples and not 0 <= int(stroke.token_index.min()) <= int(stroke.token_index.max()) < len(stroke.tokens):

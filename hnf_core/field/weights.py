@@ -18,7 +18,7 @@ from ..material.material import Appearance, LibraryMaterial
 from ..material.mechanics import Mechanics
 from ..material.token import ENCODER_ID, TOKEN_DIM
 from ..tensor_file import packed
-from ..weights_file import Kind, read_weights
+from ..weights_file import Kind, WeightsFile, parse_weights, read_weights
 from .carriers import Carriers
 from .field import Field, FieldConfig
 from .ranges import MECHANICS_NAMES, SECTORS, Given, Ranges
@@ -36,9 +36,14 @@ _KIND = Kind(
 
 
 def save_field(path: Path, field: Field) -> None:
-    """Write parameters, ranges and metadata atomically. field.metadata (training data, seed, metrics, licence, all
-    text) is kept, with the encoders of the tokens it was trained on (where it names none, the library's); format,
-    architecture and ranges are added. Raises FileError."""
+    """Write field_bytes atomically. Raises FileError."""
+    write_bytes(path, field_bytes(field))
+
+
+def field_bytes(field: Field) -> bytes:
+    """A file of parameters, ranges and metadata; of a field that was read, the bytes that it was read from.
+    field.metadata (training data, seed, metrics, licence, all text) is kept, with the encoders of the tokens it was
+    trained on (where it names none, the library's); format, architecture and ranges are added."""
     tensors = {name: np.ascontiguousarray(value, dtype=np.float32) for name, value in field.parameters.items()}
     metadata = {
         "encoder": ENCODER_ID,
@@ -49,7 +54,7 @@ def save_field(path: Path, field: Field) -> None:
     if field.ranges is not None:
         tensors[_TOKEN_LOW], tensors[_TOKEN_HIGH] = field.ranges.token_low, field.ranges.token_high
         metadata["ranges"] = json.dumps(_ranges_record(field.ranges))
-    write_bytes(path, packed(tensors, metadata))
+    return packed(tensors, metadata)
 
 
 def encoders_of(metadata: Mapping[str, str]) -> tuple[str, ...]:
@@ -83,6 +88,11 @@ def load_field(path: Path | str | None = None) -> Field:
     finite, or belongs to another encoder.
     """
     return _load(DEFAULT_WEIGHTS) if path is None else _read(Path(path))
+
+
+def parse_field(data: bytes, where: str) -> Field:
+    """The field that field_bytes wrote; where names the source in messages. Raises WeightsError as load_field does."""
+    return _field(parse_weights(data, _KIND, where))
 
 
 def field_for(encoders: Iterable[str]) -> Field:
@@ -133,7 +143,10 @@ def _load(path: Path) -> Field:
 
 
 def _read(path: Path) -> Field:
-    file = read_weights(path, _KIND)
+    return _field(read_weights(path, _KIND))
+
+
+def _field(file: WeightsFile) -> Field:
     if ENCODER_ID not in encoders_of(file.metadata):
         raise file.refused(
             f"trained on tokens of encoder {file.metadata.get('encoder')!r}, but tokens here come from {ENCODER_ID!r}."

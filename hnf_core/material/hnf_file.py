@@ -1,7 +1,8 @@
 """`.hnf`: one material as a file, to keep, to send and to drop on a surface.
 
 The safetensors layout (no pickle): "token" F32 and "known" BOOL, (TOKEN_DIM,) each, and text metadata: format, encoder,
-name, category, licence, and as JSON words, appearance and mechanics, null = not known. A file is a few kilobytes.
+name, category, licence, and as JSON words, appearance and mechanics, null = not known. A file is a few kilobytes. Where
+a field was trained for the material, its weights lie in it whole: "field" U8, a megabyte or less.
 """
 
 from __future__ import annotations
@@ -26,12 +27,13 @@ from .token import ENCODER_ID, ENCODER_NAMES, TOKEN_DIM, Token
 
 SUFFIX = ".hnf"
 FORMAT = "hnf-material-1"
-LARGEST = 1 << 20
+LARGEST = 1 << 24
 """Bytes of a whole file, and more than any header needs: a file that claims more is not a material."""
 LONGEST_NAME = 63
 """Bytes of a name that Blender keeps whole."""
 UNSEEN = Appearance()
 _TENSORS = {"token": ("F32", 4), "known": ("BOOL", 1)}
+_FIELD = "field"
 _REMEDY = "Get the file again, or write it with: hnf materials --export NAME --out FILE.hnf"
 
 
@@ -41,7 +43,8 @@ class MaterialFile:
 
     name: one line, for people. category: one of the library's, or "". words: what such a material is called.
     token: m = E(I); what it does not know is left to the library (complete). licence: an SPDX expression or words.
-    encoder: makes of E that the token came from (token.joined_encoders).
+    encoder: makes of E that the token came from (token.joined_encoders). field: weights of a field that was trained for
+    this material alone (field.learned reads them), empty = there is none and the shared one knows it by its token.
     Two are equal when their bytes are. Raises MaterialError where a value cannot be: an empty name, a token that is not
     finite, a negative stiffness.
     """
@@ -54,6 +57,7 @@ class MaterialFile:
     appearance: Appearance = UNSEEN
     licence: str = ""
     encoder: str = ENCODER_ID
+    field: bytes = b""
 
     def __post_init__(self) -> None:
         if not self.name.strip() or not self.name.isprintable() or len(self.name.encode()) > LONGEST_NAME:
@@ -95,9 +99,14 @@ class MaterialFile:
             "token": {"dtype": "F32", "shape": [TOKEN_DIM], "data_offsets": [0, len(token)]},
             "known": {"dtype": "BOOL", "shape": [TOKEN_DIM], "data_offsets": [len(token), len(token) + len(known)]},
         }
+        if self.field:
+            start = len(token) + len(known)
+            header[_FIELD] = {
+                "dtype": "U8", "shape": [len(self.field)], "data_offsets": [start, start + len(self.field)]
+            }  # fmt: skip
         text = json.dumps(header, sort_keys=True).encode("utf-8")
         text += b" " * (-len(text) % 8)
-        return len(text).to_bytes(8, "little") + text + token + known
+        return len(text).to_bytes(8, "little") + text + token + known + self.field
 
     def complete(self, prior: LibraryMaterial) -> LibraryMaterial:
         """This material with nothing left open: what its token does not know comes from prior, and so does each
@@ -170,6 +179,7 @@ def parse_hnf(data: bytes, where: str) -> MaterialFile:
             appearance=_appearance(dict(json.loads(metadata["appearance"]))),
             licence=metadata.get("licence", ""),
             encoder=encoder,
+            field=arrays.get(_FIELD, b""),
         )
     except (ValueError, KeyError, TypeError, RecursionError, OverflowError, MaterialError) as error:
         why = f"{error} is missing" if isinstance(error, KeyError) else str(error).rstrip(".")
@@ -197,6 +207,11 @@ def _unpack(data: bytes) -> tuple[dict[str, str], dict[str, bytes]]:
         if start < 0 or stop > len(body):
             raise ValueError("it ends early")
         arrays[name] = body[start:stop]
+    if _FIELD in header:
+        start, stop = (int(offset) for offset in header[_FIELD]["data_offsets"])
+        if header[_FIELD]["dtype"] != "U8" or not 0 <= start < stop <= len(body):
+            raise ValueError("it ends early")
+        arrays[_FIELD] = body[start:stop]
     return metadata, arrays
 
 

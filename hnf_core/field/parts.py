@@ -1,0 +1,91 @@
+"""A stroke over materials of which some bring a field of their own: each field hears the whole stroke, and at each
+moment the one speaks whose material is touched.
+
+At a border one fades into the other between two action samples (5 ms), with shares that sum to 1: what all of them
+hear alike, such as the press of the hand, passes unchanged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..signal import Signal
+from .field import Field
+from .stroke import StrokeInput, Synthesis
+from .synthesis import synthesise
+from .weights import own_material
+
+Float = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Part:
+    """What one field is given of a stroke. share: (n,) 0 or 1 at each action sample, whether its material is touched;
+    None = everywhere."""
+
+    field: Field
+    stroke: StrokeInput
+    share: Float | None = None
+
+
+def parts_of(field: Field, stroke: StrokeInput) -> tuple[Part, ...]:
+    """field, for all materials without one of their own, and each that a material brings, where they are touched.
+
+    A field of its own is asked as it was trained: with its own token and mechanics, and without a height under the
+    path, for the relief that was recorded is in what it learned. Raises WeightsError where it names no material.
+    """
+    own: dict[str, Field] = {each.identity: each for each in stroke.fields if each is not None}
+    if not own:
+        return (Part(field, stroke),)
+    names = np.array(["" if each is None else each.identity for each in stroke.fields])
+    touched = names[stroke.token_index]
+    found = [name for name in ("", *own) if (touched == name).any()]
+    return tuple(
+        Part(
+            own.get(name, field),
+            _as_trained(own[name], stroke, names == name) if name else replace(stroke, fields=()),
+            None if len(found) == 1 else (touched == name).astype(np.float64),
+        )
+        for name in found
+    )
+
+
+def together(parts: Sequence[Part], made: Sequence[Synthesis]) -> Synthesis:
+    """What the parts gave, each where its material is touched. made: of each part, at one seed and sample rate."""
+    if len(parts) == 1:
+        return made[0]
+    first = made[0].signal
+    time_s = np.arange(len(first.samples)) / first.sample_rate
+    samples, weight, confidence = np.zeros(len(first.samples)), 0.0, 0.0
+    for part, one in zip(parts, made, strict=True):
+        if part.share is None:
+            raise ValueError("a part that is everywhere leaves no room for another")
+        at = np.arange(len(part.share)) / part.stroke.action.rate
+        samples += np.interp(time_s, at, part.share) * one.signal.samples
+        lasting = float(part.share.sum())
+        weight, confidence = weight + lasting, confidence + lasting * one.confidence
+    fields = "+".join(one.signal.provenance["field"] for one in made)
+    signal = Signal(
+        samples.astype(np.float32), first.sample_rate, first.seed, {**first.provenance, "field": fields}
+    )  # fmt: skip
+    warnings = tuple(dict.fromkeys(warning for one in made for warning in one.warnings))
+    return Synthesis(signal, confidence / weight, warnings)
+
+
+def synthesise_parts(field: Field, stroke: StrokeInput, *, seed: int) -> Synthesis:
+    """synthesise(), with what the stroke's materials bring. Raises what that and parts_of() raise."""
+    parts = parts_of(field, stroke)
+    return together(parts, [synthesise(part.field, part.stroke, seed=seed) for part in parts])
+
+
+def _as_trained(field: Field, stroke: StrokeInput, rows: NDArray[np.bool_]) -> StrokeInput:
+    material = own_material(field, "the field of a material")
+    tokens = np.where(rows[:, None], material.token, stroke.tokens).astype(np.float32)
+    mechanics = tuple(
+        material.mechanics if own else each for own, each in zip(rows, stroke.mechanics, strict=True)
+    )  # fmt: skip
+    return replace(stroke, tokens=tokens, mechanics=mechanics, profile=None, fields=())
