@@ -20,6 +20,7 @@ from hnf_core.scene.splats.splatter import render_splats
 from hnf_core.scene.splats.view import SplatView
 from hnf_core.scene.view import RgbdView
 from hnf_core.tactile.height import fill_masked
+from hnf_core.tactile.held_wave import held_wave
 
 from .closeup import APPEARANCE_PIXELS, CloseUp, connected, unoccluded, within_reach
 from .look import CODES, UNIFORM_CODES, Look
@@ -80,11 +81,11 @@ def iter_splat_closeups(
         side = pixels_for(closeup.look, patch, fewest, pixels)
         if side > fewest:
             closeup = replace(_closeup(near, side), renders=2)
-        yield replace(closeup, rays=rays + cast.depth.size)
+        yield as_held(replace(closeup, rays=rays + cast.depth.size))
 
 
 def pixels_for(look: Look | None, patch: Patch, fewest: int, most: int) -> int:
-    """Side of a picture that shows as much as the splats of a patch do."""
+    """Side of a picture that shows as much as the splats of a patch do. look: resolving what their size allows."""
     if look is None:
         return fewest
     wanted = int(np.ceil(PIXELS_A_WAVE * patch.size_m / look.resolved_wavelength_m))
@@ -240,6 +241,16 @@ def _look(
         return None
     known = np.where(np.isfinite(depth), depth, np.nan).astype(np.float32)
     return Look(rgb, known, max(resolved, 2.0 * pixel_m), source)
+
+
+def as_held(closeup: CloseUp) -> CloseUp:
+    """closeup, whose look resolves no more than its picture holds: splats may be finer than the pictures that they were
+    made from."""
+    look = closeup.look
+    if look is None:
+        return closeup
+    held = held_wave(closeup.view.rgb, closeup.mask, closeup.metres_per_pixel, look.resolved_wavelength_m)
+    return replace(closeup, look=replace(look, resolved_wavelength_m=held))
 
 
 def _enlarged(values: NDArray[Any], camera: Camera) -> NDArray[Any]:

@@ -91,7 +91,13 @@ def test_a_picture_read_on_one_side_alone_is_a_difference() -> None:
     unread = Told(None, (0.5, 0.4, 0.3), float("inf"))
     first, second = check_splats.rows("scene", [pair("A", told(-5.0), unread), pair("A", unread, unread)])
     assert (first.palette, second.palette) == (False, None)
-    assert check_splats.summary([first, second])["patches_read"] == 1
+    assert (first.token, second.token) == (False, True)
+    figures = check_splats.summary([first, second])
+    assert (figures["patches_read"], figures["same_token"]) == (1, 0.5)
+    assert not check_splats.meets(figures)
+    black, red = (replace(unread, colour=colour) for colour in ((0.01, 0.01, 0.01), (0.5, 0.1, 0.05)))
+    (other,) = check_splats.rows("scene", [pair("A", black, red)])
+    assert (other.palette, other.token) == (None, False)  # the prior takes them for different materials
     assert "0 of 1" in check_splats.markdown([first, second])
 
 

@@ -108,6 +108,19 @@ def test_the_unit_decides_what_is_resolved(splats: Splats) -> None:
     assert closeup.look.resolved_wavelength_m == pytest.approx(2.0 * HALF_PASS * FINE_M, rel=1e-3)
 
 
+def test_fine_splats_of_a_coarse_picture_resolve_what_the_picture_holds(splats: Splats) -> None:
+    rng = np.random.default_rng(6)
+    waves, phases = rng.uniform(3e-3, 9e-3, 20)[:, None], rng.uniform(0.0, 2.0 * np.pi, 20)[:, None]
+    light = 0.05 * np.cos(2.0 * np.pi * splats.means[:, 0] * METRES / waves + phases).sum(axis=0)
+    soft = splats.harmonics.copy()
+    soft[:, 0] = light[:, None] / Y_00
+    plane, cloud = slab_object(Splats(splats.means, splats.scales, splats.rotations, splats.opacities, soft))
+    closeup = look(plane, cloud, pixels=256)
+    assert closeup.look is not None
+    assert 1.5e-3 < closeup.look.resolved_wavelength_m < 5e-3
+    assert closeup.renders == 2  # the splats are as fine as ever
+
+
 def test_no_detail_finer_than_two_pixels_is_claimed(splats: Splats) -> None:
     plane, cloud = slab_object(splats)
     closeup = look(plane, cloud, pixels=20)
