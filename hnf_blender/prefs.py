@@ -18,11 +18,13 @@ class Settings:
     """What holds where the add-on was not switched on through the preferences (tests, the command line).
 
     overlay: draw strokes in the 3-D view. default_probe: of new strokes. output: where strokes are played.
+    external_python: the program that learns materials, "" = none.
     """
 
     overlay: bool = True
     default_probe: str = "pen"
     output: str = ""
+    external_python: str = ""
 
 
 class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy has no types
@@ -45,9 +47,17 @@ class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy h
         "Choose it in the Actuator panel",
         default=Settings.output,
     )
+    external_python: bpy.props.StringProperty(
+        name="External Python",
+        description="A Python outside Blender (3.11 or newer) that has torch, to learn materials from recordings. "
+        "Everything else runs without it",
+        subtype="FILE_PATH",
+        default=Settings.external_python,
+    )
 
     def draw(self, _context: Any) -> None:
         from .ui.diagnose_panel import draw_cache
+        from .ui.outside_python import draw_outside_python
 
         layout = self.layout
         layout.use_property_split = True
@@ -64,6 +74,7 @@ class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy h
         row.operator("hnf.assets_add", text="Add")
         row.operator("hnf.assets_remove", text="Remove")
         layout.label(text="No torch needed: drawing, baking, preview and export run in Blender as it is", icon="INFO")
+        draw_outside_python(layout, self)
 
 
 def settings(context: Any = None) -> Any:

@@ -61,7 +61,7 @@ SAME_ON_EVERY_BLENDER = (
 # Long ones about networks, counted work and numbers: the newest Blender is enough.
 NEWEST_IS_ENOUGH = (
     "test_predicted_route", "test_probe_predicted", "test_touch_predicted", "test_jobs_predicted", "test_bench_*",
-    "test_check_splats", "test_stress", "test_lazy", *SAME_ON_EVERY_BLENDER,
+    "test_check_splats", "test_stress", "test_lazy", "test_learn", *SAME_ON_EVERY_BLENDER,
 )  # fmt: skip
 # Long ones; the oldest and the newest Blender agree on them. What calls Blender's API runs on every one of them, and
 # test_jobs runs the main job there.

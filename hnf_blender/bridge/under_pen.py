@@ -73,6 +73,8 @@ def felt_there(obj: Any, depsgraph: Any, slot: int, token: int) -> MaterialFile:
     materials = materials_of(obj.evaluated_get(depsgraph), obj.evaluated_get(depsgraph).data)
     shader = materials[slot] if slot < len(materials) else None
     word = own_word(shader) if shader is not None else ""
+    if isinstance(word, MaterialFile) and word.field:
+        return word  # what was baked of it is its token alone
     chosen = completed(word) if isinstance(word, MaterialFile) else find(word) if word else None
     baked = _baked(obj, token)
     if baked is not None and (chosen is None or chosen.name == baked.name):

@@ -1,4 +1,4 @@
-"""The child process: started, listened to by a thread, killed with everything it started."""
+"""A child process: started, listened to by a thread, killed with everything it started."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import subprocess
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,32 +26,45 @@ DEATH_S = 5.0
 
 NEW_GROUP, NO_CONSOLE = 0x200, 0x08000000
 """Windows: a process group of its own; no console window that flashes up. subprocess names them there alone."""
+OWN_GROUP: dict[str, Any] = (
+    {"creationflags": NEW_GROUP | NO_CONSOLE} if sys.platform == "win32" else {"start_new_session": True}
+)
+"""For Popen: end_group() then reaches all that the process starts."""
+
+
+@dataclass(frozen=True)
+class Program:
+    """What a child is. words: that start it. name, remedy: for the message where they do not. environment: None =
+    Blender's own."""
+
+    words: Sequence[str]
+    name: str
+    remedy: str
+    environment: Mapping[str, str] | None = None
 
 
 class Child:
-    """A Blender of its own at work on one job's folder."""
+    """A process of its own at work on one job's folder."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, program: Program) -> None:
         """Raises FileError where it cannot be started."""
         self._messages: queue.SimpleQueue[Message] = queue.SimpleQueue()
         self._said: deque[str] = deque(maxlen=LAST_LINES)
-        own_group: dict[str, Any] = (
-            {"creationflags": NEW_GROUP | NO_CONSOLE} if sys.platform == "win32" else {"start_new_session": True}
-        )
         try:
             self._process: subprocess.Popen[bytes] = subprocess.Popen(
-                command(folder),
+                program.words,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
                 cwd=folder,
-                **own_group,
+                env=program.environment,
+                **OWN_GROUP,
             )
         except OSError as error:
             raise FileError(
-                f"a second Blender could not be started ({error.strerror}).",
-                where=command(folder)[0],
-                remedy="Bake in the background instead: blender -b FILE --command hnf touch --out DIR",
+                f"{program.name} could not be started ({error.strerror}).",
+                where=program.words[0],
+                remedy=program.remedy,
             ) from error
         self._reader = threading.Thread(target=self._read, name="hnf bake reader", daemon=True)
         self._reader.start()
@@ -85,8 +99,7 @@ class Child:
             then()
             return
         if sys.platform != "win32":
-            with contextlib.suppress(OSError):
-                os.killpg(self.pid, signal.SIGKILL)
+            end_group(self.pid)
         try:
             threading.Thread(target=self._bury, args=(then,), name="hnf bake end").start()
         except RuntimeError:  # Python is ending, and from 3.12 on begins no thread then
@@ -95,13 +108,7 @@ class Child:
     def _bury(self, then: Callable[[], None]) -> None:
         """The thread: a killed process that was busy starting takes a while to be cleared away."""
         if sys.platform == "win32":
-            with contextlib.suppress(OSError, subprocess.TimeoutExpired):
-                subprocess.run(
-                    ["taskkill", "/F", "/T", "/PID", str(self.pid)],
-                    capture_output=True,
-                    timeout=DEATH_S,
-                    creationflags=NO_CONSOLE,
-                )
+            end_group(self.pid)
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(DEATH_S)
         self._let_go()
@@ -130,11 +137,29 @@ class Child:
                     self._said.append(line)
 
 
-def command(folder: Path) -> Sequence[str]:
-    """The words that start a child: this very Blender, or this Python with the bpy module."""
+def end_group(pid: int) -> None:
+    """Kill a process that was started with OWN_GROUP, and all that it started. On Windows this takes a moment."""
+    if sys.platform != "win32":
+        with contextlib.suppress(OSError):
+            os.killpg(pid, signal.SIGKILL)
+        return
+    with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+        subprocess.run(
+            ["taskkill", "/F", "/T", "/PID", str(pid)],
+            capture_output=True,
+            timeout=DEATH_S,
+            creationflags=NO_CONSOLE,
+        )
+
+
+def second_blender(folder: Path) -> Program:
+    """This very Blender, or this Python with the bpy module."""
     import bpy
 
     binary = bpy.app.binary_path
-    if not binary:
-        return [sys.executable, str(WORKER), str(folder)]
-    return [binary, "-b", "--factory-startup", "-noaudio", "--python", str(WORKER), "--", str(folder)]
+    words = [sys.executable, str(WORKER), str(folder)]
+    if binary:
+        words = [binary, "-b", "--factory-startup", "-noaudio", "--python", str(WORKER), "--", str(folder)]
+    return Program(
+        words, "a second Blender", "Bake in the background instead: blender -b FILE --command hnf touch --out DIR"
+    )

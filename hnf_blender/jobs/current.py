@@ -1,9 +1,9 @@
-"""Which bake runs now: one at a time, outliving the operator that began it."""
+"""Which job runs now: one at a time, outliving the operator that began it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from hnf_core.errors import HnfError
 
@@ -14,7 +14,17 @@ if TYPE_CHECKING:
 
     from .running import Bake
 
-_running: Bake | None = None
+
+class Work(Protocol):
+    """A job: begun by being made, see running.Bake."""
+
+    def tick(self) -> LastJob | None: ...
+
+    def cancel(self) -> LastJob: ...
+
+
+AnyWork = TypeVar("AnyWork", bound=Work)
+_running: Work | None = None
 
 
 def is_running() -> bool:
@@ -22,14 +32,20 @@ def is_running() -> bool:
 
 
 def start(scene: Any, view_layer: Any, only: Sequence[str] = (), place: ProbePlace | None = None) -> Bake:
-    """A bake, or a look at one place. Raises HnfError where a bake runs already, or this one cannot be begun."""
-    global _running
+    """A bake, or a look at one place. Raises HnfError where a job runs already, or this one cannot be begun."""
     from .running import Bake
 
+    return begin(lambda: Bake(scene, view_layer, only, place))
+
+
+def begin(make: Callable[[], AnyWork]) -> AnyWork:
+    """What make() begins is the job that runs. Raises HnfError where one runs already, and what make() raises."""
+    global _running
     if _running is not None:
-        raise HnfError("a bake is running already.", remedy="Wait for it, or cancel it.")
-    _running = Bake(scene, view_layer, only, place)
-    return _running
+        raise HnfError("a job is running already.", remedy="Wait for it, or cancel it.")
+    made = make()
+    _running = made
+    return made
 
 
 def tick() -> LastJob | None:
@@ -48,10 +64,10 @@ def tick() -> LastJob | None:
 
 
 def cancel() -> bool:
-    """Stop the bake that runs, if one does; nothing of it is left. True where there was one."""
+    """Stop the job that runs, if one does; nothing of it is left. True where there was one."""
     global _running
     if _running is None:
         return False
-    bake, _running = _running, None
-    bake.cancel()
+    work, _running = _running, None
+    work.cancel()
     return True

@@ -20,7 +20,7 @@ from ..state.folders import cache_folder
 from ..state.probe import ProbeView
 from ..state.session import STATE, JobStatus, LastJob
 from ..translations import tr
-from .child import Child
+from .child import Child, second_blender
 from .commit import Committed, Place, commit_steps, place_of
 from .folder import new_folder, remove_folder
 from .messages import Began, Broken, Finished, Message, Step
@@ -59,7 +59,7 @@ class Bake:
         self._working_since: float | None = None
         try:
             save_copy(self._prepared.folder / SCENE_NAME)
-            self._child = Child(self._prepared.folder)
+            self._child = Child(self._prepared.folder, second_blender(self._prepared.folder))
         except BaseException:
             self.clean()
             raise

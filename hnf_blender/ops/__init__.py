@@ -22,6 +22,8 @@ MODULES = (
     "live",
     "probe",
     "export",
+    "outside_python",
+    "learn",
 )
 """Sub-modules, each with a tuple CLASSES."""
 

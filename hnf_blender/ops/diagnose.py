@@ -50,6 +50,7 @@ def collect() -> tuple[tuple[str, str], ...]:
         ("Cache folder", str(cache)),
         ("Cache size", byte_text(folder_bytes(cache))),
         ("Touch data in this file", byte_text(touch_bytes())),
+        ("External Python", _outside()),
     ]
     if STATE.last_job is not None:
         outcome = "done" if STATE.last_job.ok else "failed"
@@ -105,6 +106,17 @@ def _field_identity() -> str:
         return load_field().identity
     except (HnfError, ImportError) as error:
         return str(error)
+
+
+def _outside() -> str:
+    """As last checked: it is not run for this."""
+    from .outside_python import found_text, python_path
+
+    path, found = python_path(), STATE.outside
+    if not path:
+        return "none"
+    known = found is not None and bpy.path.abspath(found.path) == path
+    return f"{path}: {found_text(found) if known and found is not None else 'not checked'}"
 
 
 def _map_weights() -> str:

@@ -19,7 +19,7 @@ TICK_S = 0.1
 def no_job_runs(operator: Any) -> bool:
     """For its poll(): whether a job may begin; where not, says why."""
     if current.is_running():
-        operator.poll_message_set("A bake is running. Wait for it, or press Esc to cancel it.")
+        operator.poll_message_set("A job is running. Wait for it, or press Esc to cancel it.")
         return False
     return True
 

@@ -13,6 +13,7 @@ import numpy as np
 from hnf_core.action.action import Action
 from hnf_core.errors import HnfError
 from hnf_core.field.incremental import Rendered, Superseded, render
+from hnf_core.field.parts import parts_of, together
 from hnf_core.field.weights import load_field
 from hnf_core.signal import Signal
 
@@ -62,19 +63,24 @@ def hear(now: Present, look: Look, kept: Kept, superseded: Callable[[], bool] = 
     Raises Superseded where superseded() says so, StrokeError as synthesise() does.
     """
     bake = now.bake
-    earlier = kept.get(bake.path_key)
-    if earlier is not None and earlier.prepared.seed != bake.seed:
-        earlier = None
-    made = render(load_field(), bake.stroke, seed=bake.seed, earlier=earlier, superseded=superseded)
-    kept.put(bake.path_key, made)
+    parts, made = parts_of(load_field(), bake.stroke), []
+    for part in parts:
+        key = f"{bake.path_key} {part.field.identity}"
+        earlier = kept.get(key)
+        if earlier is not None and earlier.prepared.seed != bake.seed:
+            earlier = None
+        made.append(render(part.field, part.stroke, seed=bake.seed, earlier=earlier, superseded=superseded))
+        kept.put(key, made[-1])
+    whole = together(parts, [each.synthesis for each in made])
     # Pressed nowhere, there is nothing to be unsure of.
     share = mean_share(bake.shares, bake.patch_index) if (bake.patch_index >= 0).any() else 1.0
-    confidence = share * made.synthesis.confidence
-    signal = delivered(made.synthesis.signal, now.name, bake.facts, confidence)
+    confidence = share * whole.confidence
+    signal = delivered(whole.signal, now.name, bake.facts, confidence)
     action = bake.stroke.action
     picture = stroke_picture(signal, action, look)
     return Heard(
-        now.name, now.stamp, signal, action, confidence, made.synthesis.warnings, made.rendered, picture, look
+        now.name, now.stamp, signal, action, confidence, whole.warnings, sum(each.rendered for each in made), picture,
+        look,
     )  # fmt: skip
 
 

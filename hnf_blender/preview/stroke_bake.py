@@ -18,11 +18,14 @@ from hnf_core.action.action import Action
 from hnf_core.archive import DAMAGED
 from hnf_core.errors import FileError, HnfError, SceneError, StrokeError
 from hnf_core.field.stroke import HeightProfile, StrokeInput
+from hnf_core.field.weights import field_bytes, parse_field
 from hnf_core.material.mechanics import PROBES, Mechanics
 
 from ..bridge.keeping import drop, keep, kept
 
 if TYPE_CHECKING:
+    from hnf_core.field.field import Field
+
     from ..touch.feel import BakedStroke, Felt
 
 BAKE_PROPERTY = "hnf_bake"
@@ -102,6 +105,7 @@ class StrokeBake:
         if profile is not None:
             scale = (profile.step_m, profile.origin_m, profile.resolved_wavelength_m)
             arrays |= {"profile_scale": np.array(scale), "profile": _planes(profile.height)}
+        arrays |= _packed_fields(self.stroke)
         packed = io.BytesIO()
         np.savez_compressed(packed, **arrays)
         return packed.getvalue()
@@ -216,7 +220,9 @@ def _unpack(arrays: Mapping[str, NDArray[Any]]) -> StrokeBake:
     if count == 0 or index.max() >= len(tokens) or arrays["shares"].shape != (len(tokens),):
         raise ValueError("its patches and tokens do not fit together")
     return StrokeBake(
-        stroke=StrokeInput(action, tokens, mechanics, arrays["token_index"].astype(np.int32), profile),
+        stroke=StrokeInput(
+            action, tokens, mechanics, arrays["token_index"].astype(np.int32), profile, _unpacked_fields(arrays)
+        ),
         patch_index=index,
         on_surface=arrays["on_surface"].astype(bool),
         shares=arrays["shares"].astype(np.float64),
@@ -228,3 +234,23 @@ def _unpack(arrays: Mapping[str, NDArray[Any]]) -> StrokeBake:
         warnings=tuple(str(text) for text in texts["warnings"]),
         notes=tuple(str(text) for text in texts["notes"]),
     )
+
+
+def _packed_fields(stroke: StrokeInput) -> dict[str, NDArray[Any]]:
+    """Each field that materials of the stroke bring, once, and which each token has, −1 = none; nothing where none
+    brings one."""
+    own = {each.identity: each for each in stroke.fields if each is not None}
+    if not own:
+        return {}
+    names = list(own)
+    index = [-1 if each is None else names.index(each.identity) for each in stroke.fields]
+    weights = {f"field_{at}": np.frombuffer(field_bytes(own[name]), np.uint8) for at, name in enumerate(names)}
+    return {"field_index": np.array(index, dtype=np.int32), **weights}
+
+
+def _unpacked_fields(arrays: Mapping[str, NDArray[Any]]) -> tuple[Field | None, ...]:
+    if "field_index" not in arrays:
+        return ()
+    index = [int(at) for at in arrays["field_index"]]
+    own = {at: parse_field(arrays[f"field_{at}"].tobytes(), "stored bake") for at in set(index) - {-1}}
+    return tuple(own.get(at) for at in index)

@@ -1,4 +1,4 @@
-"""Where the add-on keeps what it can make again."""
+"""Where the add-on keeps what it can make again, and what it learned."""
 
 from __future__ import annotations
 
@@ -9,13 +9,22 @@ PACKAGE = __name__.rsplit(".", 2)[0]
 
 def cache_folder() -> Path:
     """Close-ups of earlier bakes, named by content. Made where it is missing; survives upgrades of an extension."""
+    return _folder("cache")
+
+
+def learned_folder() -> Path:
+    """Learned materials, and what an unfinished lesson goes on from; likewise."""
+    return _folder("learned")
+
+
+def _folder(name: str) -> Path:
     import tempfile  # brings shutil and four packers along: 3 ms that switching on need not take
 
     import bpy
 
     if PACKAGE.startswith("bl_ext."):
-        return Path(bpy.utils.extension_path_user(PACKAGE, path="cache", create=True))
-    data = bpy.utils.user_resource("DATAFILES", path="hnf/cache", create=True)
-    folder = Path(data) if data else Path(tempfile.gettempdir()) / "hnf-cache"
+        return Path(bpy.utils.extension_path_user(PACKAGE, path=name, create=True))
+    data = bpy.utils.user_resource("DATAFILES", path=f"hnf/{name}", create=True)
+    folder = Path(data) if data else Path(tempfile.gettempdir()) / f"hnf-{name}"
     folder.mkdir(parents=True, exist_ok=True)
     return folder

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from hnf_core.material.prior import Suggestion
 
+    from ..jobs.outside_python import OutsidePython
     from .probe import ProbeView, Relief
 
 
@@ -95,6 +96,7 @@ class SessionState:
     suggestions: by the full name of the Blender material, the most apt first. reliefs: by that name too, as seen where
     a place of it was examined. diagnosis: (name, value) as last collected. heard: something was played since Blender
     started. probe: the last place that was looked at.
+    outside: the external Python as last checked; no file's matter.
     changes: counts what people changed, undo and redo included. own: above 0 while the add-on itself changes things."""
 
     strokes: dict[str, StrokeStatus] = field(default_factory=dict)
@@ -107,6 +109,7 @@ class SessionState:
     diagnosis: tuple[tuple[str, str], ...] = ()
     heard: bool = False
     probe: ProbeView | None = None
+    outside: OutsidePython | None = None
     changes: int = 0
     own: int = 0
 

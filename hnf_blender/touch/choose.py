@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from hnf_core.errors import MaterialError
+from hnf_core.field.field import Field
+from hnf_core.field.learned import field_of
 from hnf_core.material.hnf_file import MaterialFile, completed
 from hnf_core.material.library import find, load_library
 from hnf_core.material.material import LibraryMaterial
@@ -30,12 +32,14 @@ class Asked:
 
 @dataclass(frozen=True)
 class SlotMaterial:
-    """What a material slot is taken to be. shader: the material's own name. reason: why, for the report."""
+    """What a material slot is taken to be. shader: the material's own name. reason: why, for the report. field: what
+    the material brings of its own, None = nothing."""
 
     shader: str
     library: LibraryMaterial
     confidence: float
     reason: str
+    field: Field | None = None
 
 
 def chosen_material(touched: TouchedObject, slot: int, asked: Asked) -> LibraryMaterial | None:
@@ -44,20 +48,25 @@ def chosen_material(touched: TouchedObject, slot: int, asked: Asked) -> LibraryM
 
     Raises MaterialError that says where the unknown name was given, and what is close to it.
     """
+    word, where = _said(touched, slot, asked)
+    if isinstance(word, MaterialFile):
+        return completed(word)
+    if not word:
+        return None
+    try:
+        return find(word)
+    except MaterialError as error:
+        raise MaterialError(error.what, where=where, remedy=error.remedy) from None
+
+
+def _said(touched: TouchedObject, slot: int, asked: Asked) -> tuple[str | MaterialFile, str]:
+    """The word that counts, "" = none, and where it was given."""
     words: dict[str, str | MaterialFile] = {
         "--material": asked.choices.get(slot) or asked.choices.get(None) or "",
         asked.where: asked.own,
         f"material '{shader_name(touched, slot)}'": touched.chosen[slot] if slot < len(touched.chosen) else "",
     }
-    for where, word in words.items():
-        if isinstance(word, MaterialFile):
-            return completed(word)
-        if word:
-            try:
-                return find(word)
-            except MaterialError as error:
-                raise MaterialError(error.what, where=where, remedy=error.remedy) from None
-    return None
+    return next(((word, where) for where, word in words.items() if word), ("", ""))
 
 
 def decide_material(touched: TouchedObject, slot: int, asked: Asked, records: Sequence[PatchRecord]) -> SlotMaterial:
@@ -65,7 +74,9 @@ def decide_material(touched: TouchedObject, slot: int, asked: Asked, records: Se
     shader = shader_name(touched, slot)
     chosen = chosen_material(touched, slot, asked)
     if chosen is not None:
-        return SlotMaterial(shader, chosen, 1.0, "chosen by the artist")
+        word, _ = _said(touched, slot, asked)
+        field = field_of(word) if isinstance(word, MaterialFile) else None
+        return SlotMaterial(shader, chosen, 1.0, "chosen by the artist", field)
     best = ranked_materials(touched, slot, records)[0]
     return SlotMaterial(shader, find(best.name), best.confidence, best.reason)
 

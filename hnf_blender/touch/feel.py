@@ -13,9 +13,9 @@ from hnf_core.action.action import Action
 from hnf_core.action.contacts import Contacts, find_contacts, require_contact
 from hnf_core.action.patches import action_from_contacts, plan_patches
 from hnf_core.field.field import Field
+from hnf_core.field.parts import synthesise_parts
 from hnf_core.field.stroke import StrokeInput
 from hnf_core.field.stroke_profile import stroke_profile
-from hnf_core.field.synthesis import synthesise
 from hnf_core.material.fuse import BANDS, FusedToken, fuse, routes_in_words
 from hnf_core.scene.patch import Patch
 from hnf_core.signal import Signal
@@ -68,7 +68,7 @@ class BakedStroke:
         own = list(self.stroke.notes) + list(self.touched.surface.notes)
         for record in self.records:
             own += record.notes
-        own += [*self._relief_notes(), *self.unread]
+        own += [*self._relief_notes(), *self._learned_notes(), *self.unread]
         off = float(np.mean(~self.contacts.on_surface))
         if off > 0.0:
             own.append(f"stroke '{self.stroke.name}': {off:.0%} of its time it is off the surface and silent.")
@@ -78,6 +78,14 @@ class BakedStroke:
                 "are counted from the object's own axes."
             )
         return tuple(dict.fromkeys(own))
+
+    def _learned_notes(self) -> list[str]:
+        return [
+            f"material '{each.shader}' was learned ({each.field.metadata.get('licence', '')}): what its own shader shows "
+            "of relief is not felt on top of it."
+            for each in self.materials.values()
+            if each.field is not None
+        ]
 
     def _relief_notes(self) -> list[str]:
         """One line a material, of its tallest patch: each patch has its own figure, and ten lines say no more."""
@@ -179,25 +187,28 @@ def feel(baked: BakedStroke, field: Field, seed: int, counts: Counts) -> Felt:
     """Synthesise a baked stroke. counts grows by one F_Θ call."""
     given = stroke_input(baked)
     counts.network_calls += 1
-    made = synthesise(field, given, seed=seed)
+    made = synthesise_parts(field, given, seed=seed)
     share = mean_share(known_shares(baked), baked.patch_index)
     return Felt(given, made.signal, share * made.confidence, made.warnings)
 
 
 def stroke_input(baked: BakedStroke) -> StrokeInput:
-    """What the field is asked about a baked stroke: one token and one mechanics per patch. The height under the path is
-    that of measured maps alone: a predicted one has the right texture, not the right place of every grain."""
+    """What the field is asked about a baked stroke: one token and one mechanics per patch, and the field that its
+    material brings. The height under the path is that of measured maps alone: a predicted one has the right texture,
+    not the right place of every grain."""
     action = action_from_contacts(baked.contacts, baked.patches, baked.patch_index, baked.stroke.probe)
     profile = stroke_profile(action.position, baked.contacts.point, baked.patch_index, baked.patches, baked.records)
     if profile is not None:
         # Its maps are float32: more digits would say nothing, and a stored stroke would be twice as large.
         profile = replace(profile, height=profile.height.astype(np.float32).astype(np.float64))
+    brought = tuple(baked.materials[patch.slot].field for patch in baked.patches)
     return StrokeInput(
         action=action,
         tokens=np.stack([fused.values for fused in baked.fused]).astype(np.float32),
         mechanics=tuple(baked.materials[patch.slot].library.mechanics for patch in baked.patches),
         token_index=_held(baked.patch_index),
         profile=profile,
+        fields=() if all(each is None for each in brought) else brought,
     )
 
 

@@ -63,6 +63,7 @@ class HNF_PT_materials(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # no
         layout, obj = self.layout, felt_object(context)
         if obj is None:
             hint(layout, context, tr("Select a mesh or a stroke to see what its materials feel like"))
+            layout.operator("hnf.learn", icon="REC")
             return
         layout.label(text=named(context, obj.name), icon="OBJECT_DATA", translate=False)
         if len(obj.material_slots) > 1:
@@ -74,6 +75,7 @@ class HNF_PT_materials(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # no
             hint(layout, context, tr("No material in this slot: what it feels like is guessed from names alone"))
         else:
             draw_material(layout, context, material)
+        layout.operator("hnf.learn", icon="REC")
 
 
 def draw_material(layout: Any, context: Any, material: Any) -> None:

@@ -33,8 +33,9 @@ def shown_properties(owner: Any) -> list[str]:
     """Names of the properties of a class that are not hidden."""
     return [
         name
-        for name, made in owner.__annotations__.items()
-        if not {"HIDDEN"} & set(getattr(made, "keywords", {}).get("options", ()))
+        for base in owner.__mro__
+        for name, made in vars(base).get("__annotations__", {}).items()
+        if hasattr(made, "keywords") and not {"HIDDEN"} & set(made.keywords.get("options", ()))
     ]
 
 

@@ -227,7 +227,7 @@ def test_the_preferences_draw_and_are_read() -> None:
     recorder = Recorder()
     declared = SimpleNamespace(properties=HnfPreferences.__annotations__)
     HnfPreferences.draw(SimpleNamespace(layout=recorder, bl_rna=declared), context_of())
-    assert recorder.props == ["overlay", "default_probe"]
+    assert recorder.props == ["overlay", "default_probe", "external_python"]
     assert "hnf.cache_clear" in recorder.operators
     assert "torch" in recorder.words
     properties = {name: getattr(Settings(), name) for name in HnfPreferences.__annotations__}

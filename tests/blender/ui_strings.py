@@ -25,7 +25,8 @@ def strings_of_classes(classes: Iterator[Any]) -> set[str]:
             module, name = each.bl_idname.split(".")
             rna = getattr(getattr(bpy.ops, module), name).get_rna_type()
         for prop in rna.properties:
-            if prop.identifier in getattr(each, "__annotations__", {}) and not prop.is_hidden:
+            own = {name for base in each.__mro__ for name in vars(base).get("__annotations__", {})}
+            if prop.identifier in own and not prop.is_hidden:
                 found |= {prop.name, prop.description}
                 if prop.type == "ENUM":
                     found |= {text for item in prop.enum_items for text in (item.name, item.description)}

@@ -1,0 +1,204 @@
+"""Learning a material: the trainer runs under a Python outside Blender, and what it learned is given to a slot."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from hnf_core import errors
+from hnf_core.cli.learn import TRAINING, Lesson
+from hnf_core.datasets.catalogue import LICENCES
+from hnf_core.errors import FileError, HnfError
+from hnf_core.field.learned import learned_material
+from hnf_core.files import content_hash
+from hnf_core.material.hnf_file import SUFFIX, MaterialFile, write_hnf
+
+from ..state.folders import learned_folder
+from ..state.session import STATE, JobStatus, LastJob
+from ..translations import tr
+from .child import Child, Program
+from .folder import new_folder, remove_folder
+from .messages import Broken, Finished, Message, Step
+from .outside_python import clean_environment
+from .records import to_text
+
+WORKER = Path(__file__).with_name("learn_worker.py")
+TITLE = "Learn a material"
+KILLED = "Nothing was changed. Learn it again with the same choices: it goes on where it was. If it happens again, "
+KILLED += "close other programs (memory)."
+
+
+@dataclass(frozen=True)
+class Slot:
+    """Where a learned material belongs. object_name: "" = nowhere yet. slot: counted from 0."""
+
+    object_name: str = ""
+    slot: int = 0
+
+
+class Learning:
+    """A material being learned in a child process. Call tick() every 0.1 s until it says how it ended."""
+
+    def __init__(self, python: str, lesson: Lesson, slot: Slot) -> None:
+        """Starts. Raises HnfError; nothing is left behind then."""
+        self.started = time.monotonic()
+        self._lesson, self._slot = lesson, slot
+        self._training_since: float | None = None
+        self.out = weights_path(lesson)
+        self._child: Child | None = None
+        self.folder = new_folder()
+        words = [python, str(WORKER), str(Path(errors.__file__).parent), to_text(lesson), str(self.out)]
+        program = Program(
+            words, "the external Python", "Check it in the add-on's preferences.", clean_environment()
+        )  # fmt: skip
+        try:
+            self._child = Child(self.folder, program)
+        except BaseException:
+            self.clean()
+            raise
+        self._show(Step("starting", 0, 1))
+
+    @property
+    def pid(self) -> int | None:
+        """Of the child process, None when it is gone."""
+        return None if self._child is None else self._child.pid
+
+    def tick(self) -> LastJob | None:
+        """Go on for a moment; STATE.job tells how far. None while it runs, else how it ended, told in STATE.last_job
+        too."""
+        try:
+            ended = self._listen()
+        except HnfError as error:
+            ended = LastJob(False, str(error))
+        except BaseException:
+            self.cancel()
+            raise
+        return None if ended is None else self._end(ended)
+
+    def cancel(self) -> LastJob:
+        """Stop now; nothing is changed, and what was learned so far waits for the same choices."""
+        said = tr("Learning cancelled. Nothing was changed; the same choices go on where it was.")
+        return self._end(LastJob(True, said))
+
+    def clean(self) -> None:
+        """Nothing half written is left: of training the checkpoint alone, which was renamed into place whole."""
+        if self._child is not None:
+            self._child.kill(then=partial(_sweep, self.folder, self.out))
+            self._child = None
+        _sweep(self.folder, self.out)
+        STATE.job = None
+
+    def _end(self, ended: LastJob) -> LastJob:
+        self.clean()
+        STATE.last_job = ended
+        return ended
+
+    def _listen(self) -> LastJob | None:
+        child = self._child
+        if child is None:
+            return LastJob(False, "It has ended already.")
+        code = child.exit_code()  # before its messages are read: what it said last is among them
+        for message in child.messages():
+            ended = self._hear(message, child)
+            if ended is not None:
+                return ended
+        if code is None:
+            return None
+        how = f"was killed (signal {-code})" if code < 0 else f"ended with code {code}"
+        return LastJob(False, f"The process that learned {how} before it was done. {KILLED}", child.last_lines)
+
+    def _hear(self, message: Message, child: Child) -> LastJob | None:
+        if isinstance(message, Broken):
+            return LastJob(False, message.why, child.last_lines)
+        if isinstance(message, Finished):
+            return replace(self._give(), details=(LICENCES[self._lesson.kind],))
+        if isinstance(message, Step):
+            self._show(message)
+        return None
+
+    def _give(self) -> LastJob:
+        try:
+            definition = learned_material(self.out.read_bytes(), str(self.out))
+        except OSError as error:
+            raise FileError(
+                f"cannot be read ({error.strerror}).", where=str(self.out), remedy="Learn it again."
+            ) from error
+        kept = learned_folder() / f"{_plain(definition.name)} ({self._lesson.kind}){SUFFIX}"
+        write_hnf(kept, definition)
+        self.out.unlink(missing_ok=True)
+        return LastJob(True, give_to(definition, self._slot, kept), written=1)
+
+    def _show(self, step: Step) -> None:
+        now, left = time.monotonic(), None
+        if step.stage == TRAINING:
+            self._training_since = self._training_since or now
+            if step.done > 1:  # the first epoch's share of the time is not known before it is over
+                left = (now - self._training_since) / step.done * (step.total - 1 - step.done)
+        STATE.job = JobStatus(TITLE, step.stage, step.done, step.total, now - self.started, left)
+
+
+def learn_in_line(python: str, lesson: Lesson, slot: Slot) -> LastJob:
+    """Wait for all of it. Raises HnfError where it cannot be begun or fails."""
+    learning = Learning(python, lesson, slot)
+    while (ended := learning.tick()) is None:
+        time.sleep(0.05)
+    if not ended.ok:
+        raise HnfError(ended.message)
+    return ended
+
+
+def weights_path(lesson: Lesson) -> Path:
+    """Where the weights of a lesson are written, the checkpoint beside them: equal choices, equal place."""
+    return learned_folder() / f"{content_hash(repr(sorted(asdict(lesson).items())))}.safetensors"
+
+
+def give_to(definition: MaterialFile, slot: Slot, kept: Path) -> str:
+    """Make definition what the slot feels like, where nobody said anything else of it; a new Blender material that
+    looks like nothing yet where somebody did, or where there is no such slot. Returns a sentence."""
+    from ..bridge.own_material import give, new_material
+
+    obj = _free(slot)
+    if obj is not None:
+        material = give(obj, slot.slot, definition)
+        said = tr("{object}: material '{material}' now feels like {name}, as it was learned")
+        text = said.format(object=obj.name, material=material.name, name=definition.name)
+    else:
+        material = new_material(definition)
+        material.use_fake_user = True  # it belongs to no slot yet, and is to outlive a save
+        text = tr("Learned: the new material '{material}' feels like it. Put it in a slot, or open {file}").format(
+            material=material.name, file=kept
+        )
+    STATE.dirty.add(material.name)
+    return text
+
+
+def _free(slot: Slot) -> Any:
+    """The object, where its slot can be given to; else None."""
+    import bpy
+
+    from ..props.material import OWN_DEFINITION
+
+    obj = bpy.data.objects.get(slot.object_name) if slot.object_name else None
+    if obj is None or not hasattr(obj.data, "materials") or obj.data.library is not None or not obj.is_editable:
+        return None
+    slots = obj.material_slots
+    if slot.slot > max(len(slots) - 1, 0):
+        return None
+    held = slots[slot.slot].material if slot.slot < len(slots) else None
+    if held is None:
+        return obj
+    is_said = bool(held.hnf_touch.library) or OWN_DEFINITION in held
+    return None if is_said or not held.is_editable or held.override_library is not None else obj
+
+
+def _sweep(folder: Path, out: Path) -> None:
+    remove_folder(folder)
+    for half in out.parent.glob(f".{out.stem}*"):
+        half.unlink(missing_ok=True)
+
+
+def _plain(name: str) -> str:
+    return "".join(each if each.isalnum() or each in " -_." else "_" for each in name).strip(". ") or "material"

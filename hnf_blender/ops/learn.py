@@ -1,0 +1,165 @@
+"""Learn a material from recordings of it, or from the simulator, in the external Python."""
+
+# No `from __future__ import annotations`: Blender reads these annotations as values.
+
+from typing import Any
+
+import bpy
+
+from hnf_core.errors import HnfError
+
+from ..jobs import current
+from ..state.session import STATE, JobStatus, LastJob
+from ..translations import tr
+from ..ui.texts import job_text, left_text
+from .materials import LIBRARY, felt_object
+from .modal_job import ModalJob, no_job_runs
+from .outside_python import python_path
+
+EFFORTS = {"QUICK": (60.0, 10), "STANDARD": (480.0, 40)}
+"""Effort → seconds of strokes where a data set holds models, and epochs at most."""
+KINDS = [
+    ("simulated", "Simulated", "The contact simulator on a material of the library: needs no recordings"),
+    ("hatt", "HaTT", "Your copy of the Penn Haptic Texture Toolkit: models, recordings or both"),
+    ("cluster", "Cluster", "Your copy of the Cluster Haptic Texture Database"),
+    ("lmt", "LMT", "Your copy of an LMT haptic texture database. Speed and force were not recorded"),
+]
+
+
+class Choices:
+    """What both operators are asked."""
+
+    kind: bpy.props.EnumProperty(name="Recordings", description="Where the strokes come from", items=KINDS)
+    folder: bpy.props.StringProperty(
+        name="Folder", description="Of your own copy of the recordings", subtype="DIR_PATH", options={"SKIP_SAVE"}
+    )
+    name: bpy.props.StringProperty(name="Material", description="As the recordings call it, such as ABS Plastic")
+    library: bpy.props.EnumProperty(
+        name="Material", description="Material of the library to simulate", items=LIBRARY
+    )  # fmt: skip
+    effort: bpy.props.EnumProperty(
+        name="Effort",
+        description="How long it may take. Times are of one core with nothing else to do",
+        items=[
+            (
+                "QUICK",
+                "Quick",
+                "Ten epochs, from a minute of strokes: about 15 s, simulated half a minute. To see that it works",
+            ),
+            (
+                "STANDARD",
+                "Standard",
+                "Up to forty epochs, from eight minutes of strokes: about half a minute, simulated three",
+            ),
+        ],
+        default="STANDARD",
+    )
+
+
+def can_learn(operator: Any) -> bool:
+    """For its poll(): whether a material could be learned now; where not, says why."""
+    if not no_job_runs(operator):
+        return False
+    if not python_path():
+        operator.poll_message_set("Name an external Python in the add-on's preferences first")
+        return False
+    found = STATE.outside
+    if found is not None and found.problem and bpy.path.abspath(found.path) == python_path():
+        operator.poll_message_set("The external Python lacks something: the add-on's preferences say what to type")
+        return False
+    return True
+
+
+class HNF_OT_learn(Choices, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types
+    """Asks, and begins hnf.learn_run: what a dialog calls cannot go on beside the window itself."""
+
+    bl_idname = "hnf.learn"
+    bl_label = "Learn a Material…"
+    bl_description = (
+        "Train a field on recordings of a real material, or on simulated ones, in the external Python, and give it to "
+        "the active slot. Goes on beside your work; Esc cancels"
+    )
+
+    @classmethod
+    def poll(cls, _context: Any) -> bool:
+        return can_learn(cls)
+
+    def invoke(self, context: Any, _event: Any) -> set[str]:
+        return set(context.window_manager.invoke_props_dialog(self, width=420))
+
+    def draw(self, _context: Any) -> None:
+        from hnf_core.datasets.catalogue import LICENCES
+
+        layout = self.layout
+        layout.use_property_split = True
+        layout.prop(self, "kind")
+        if self.kind == "simulated":
+            layout.prop(self, "library")
+        else:
+            layout.prop(self, "folder")
+            layout.prop(self, "name")
+        layout.prop(self, "effort")
+        text = tr("Licence of what is learned: {licence}").format(licence=LICENCES[self.kind])
+        layout.label(text=text, icon="INFO", translate=False)
+
+    def execute(self, _context: Any) -> set[str]:
+        how = "EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT"
+        choices = {name: getattr(self, name) for name in Choices.__annotations__}
+        return set(bpy.ops.hnf.learn_run(how, **choices))
+
+
+class HNF_OT_learn_run(Choices, ModalJob, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    """No REGISTER: adjusting it afterwards would learn anew."""
+
+    bl_idname = "hnf.learn_run"
+    bl_label = "Learn Material"
+    bl_description = "Learn a material with these choices, without asking"
+    bl_options = {"UNDO", "INTERNAL"}  # noqa: RUF012  # Blender wants a set
+
+    @classmethod
+    def poll(cls, _context: Any) -> bool:
+        return can_learn(cls)
+
+    def execute(self, context: Any) -> set[str]:
+        from ..jobs.learning import learn_in_line
+
+        return self.in_line(lambda: learn_in_line(*self._asked(context)))
+
+    def invoke(self, context: Any, _event: Any) -> set[str]:
+        from ..jobs.learning import Learning
+
+        if not self.begin_job(context, lambda: current.begin(lambda: Learning(*self._asked(context)))):
+            return {"CANCELLED"}
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def _asked(self, context: Any) -> tuple[Any, ...]:
+        """What Learning takes. Raises HnfError where a choice is missing."""
+        from hnf_core.cli.learn import Lesson
+
+        from ..jobs.learning import Slot
+
+        simulated = self.kind == "simulated"
+        name = self.library if simulated else self.name.strip()
+        if not name:
+            raise HnfError("no material is named.", remedy="Name it as the recordings do.")
+        if not simulated and not self.folder:
+            raise HnfError("no folder is chosen.", remedy="Choose that of your own copy of the recordings.")
+        folder = "" if simulated else bpy.path.abspath(self.folder)
+        obj = felt_object(context)
+        slot = Slot() if obj is None else Slot(obj.name, obj.active_material_index)
+        return python_path(), Lesson(self.kind, folder, name, *EFFORTS[self.effort]), slot
+
+    def job_line(self, job: JobStatus) -> str:
+        return f"{tr('Learning a material')}: {job_text(job)}, {left_text(job)}"
+
+    def tell_end(self, ended: LastJob) -> set[str]:
+        """An undo step where a material was given."""
+        if not ended.ok:
+            self.report({"ERROR"}, ended.message)
+            return {"CANCELLED"}
+        self.report({"INFO"}, " ".join([ended.message, *ended.details]))
+        return {"FINISHED"} if ended.written else {"CANCELLED"}
+
+
+CLASSES = (HNF_OT_learn, HNF_OT_learn_run)

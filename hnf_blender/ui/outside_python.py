@@ -1,0 +1,25 @@
+"""The external Python in the preferences: its path, what it was found to be, what to type where it lacks something."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..ops.outside_python import found_text
+from ..state.session import STATE
+
+
+def draw_outside_python(layout: Any, preferences: Any) -> None:
+    box = layout.box()
+    row = box.row(align=True)
+    row.prop(preferences, "external_python")
+    row.operator("hnf.python_check", text="Check", icon="VIEWZOOM")
+    found = STATE.outside
+    if found is None or found.path != preferences.external_python:
+        box.label(text="Only learning a material needs it. Name one and check it", icon="INFO")
+        return
+    box.label(text=found_text(found), icon="ERROR" if found.problem else "CHECKMARK", translate=False)
+    if found.command:
+        box.label(text="Type this into a terminal, then check again:", icon="BLANK1")
+        row = box.row(align=True)
+        row.label(text=found.command, icon="BLANK1", translate=False)
+        row.operator("hnf.python_copy", text="Copy", icon="COPYDOWN")

@@ -1,0 +1,297 @@
+"""A material learned in a Python outside Blender: what that Python is found to be, and what a lesson leaves."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+import pytest
+from job_scene import LIMIT_S, PLATE, finish, is_gone, kill, my_folders, small_scene
+from panel_recorder import Recorder, context_of, rna_of
+
+from hnf_blender.bridge.own_material import carry, own_word
+from hnf_blender.jobs import current, learning, running
+from hnf_blender.jobs.folder import is_alive
+from hnf_blender.jobs.learning import Learning, Slot, give_to, weights_path
+from hnf_blender.jobs.outside_python import look
+from hnf_blender.ops import outside_python as python_ops
+from hnf_blender.ops.diagnose import collect
+from hnf_blender.ops.learn import HNF_OT_learn, HNF_OT_learn_run
+from hnf_blender.prefs import HnfPreferences, Settings
+from hnf_blender.preview.hearing import Kept, hear
+from hnf_blender.preview.pictures import Look
+from hnf_blender.preview.present import present
+from hnf_blender.preview.stroke_bake import load_bake
+from hnf_blender.state.session import STATE
+from hnf_blender.ui.outside_python import draw_outside_python
+from hnf_core.cli.learn import GATHERING, Lesson
+from hnf_core.datasets.catalogue import LICENCES
+from hnf_core.field.parts import synthesise_parts
+from hnf_core.field.weights import load_field, own_material
+from hnf_core.material.hnf_file import from_library, read_hnf
+from hnf_core.material.library import find
+
+pytestmark = pytest.mark.usefixtures("operators")
+NO_TORCH = importlib.util.find_spec("torch") is None
+NAME = "CoarseMesh"
+
+
+@pytest.fixture
+def learned(tmp_path, monkeypatch) -> Path:
+    """Where learned materials go."""
+    folder = tmp_path / "learned"
+    folder.mkdir()
+    monkeypatch.setattr(learning, "learned_folder", lambda: folder)
+    yield folder
+    STATE.outside = None
+
+
+@pytest.fixture
+def name_python(monkeypatch):
+    """What an artist types into the preferences."""
+
+    def named(path: object) -> None:
+        monkeypatch.setattr(python_ops, "settings", lambda: Settings(external_python=str(path)))
+
+    return named
+
+
+def program(path: Path, script: str) -> str:
+    path.write_text(f"#!/bin/sh\n{script}\n", encoding="utf-8")
+    path.chmod(0o755)
+    return str(path)
+
+
+def lesson_of(folder: Path, epochs: int = 3) -> Lesson:
+    """Three seconds of noise, as LMT's files hold them."""
+    path = folder / "lmt" / "Training" / "Accel" / f"{NAME}_query0.txt"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    noise = np.random.default_rng(3).standard_normal(30_000)
+    path.write_text("\n".join(f"{value:.5g}" for value in noise), encoding="utf-8")
+    return Lesson("lmt", str(folder / "lmt"), NAME, 5.0, epochs)
+
+
+def begin(lesson: Lesson, python: str = sys.executable) -> Learning:
+    return current.begin(lambda: Learning(python, lesson, Slot(PLATE, 0)))
+
+
+def reach(stage: str, done: int) -> int:
+    """Tick until so many steps of a stage are done; how many that are."""
+    until = time.monotonic() + LIMIT_S
+    while time.monotonic() < until:
+        assert current.tick() is None, STATE.last_job
+        if STATE.job is not None and STATE.job.stage == stage and STATE.job.done >= done:
+            return STATE.job.done
+        time.sleep(0.005)
+    raise AssertionError(f"not reached: {STATE.job}")
+
+
+def test_a_python_that_lacks_something_is_told_what_to_type(tmp_path) -> None:
+    bare = program(tmp_path / "bare", f'exec "{sys.executable}" -S -I "$@"')
+    found = look(bare)
+    assert found.version == ".".join(map(str, sys.version_info[:3]))
+    assert found.missing == ("numpy", "safetensors", "torch")
+    assert found.problem == "It lacks numpy, safetensors, torch"
+    assert found.command.startswith(f'"{bare}" -m pip install "numpy>=')
+    assert '"torch==' in found.command
+
+
+@pytest.mark.parametrize(
+    ("script", "problem"),
+    [
+        ("echo Hello", "It is not a Python"),
+        ('echo \'@hnf python {"version": "x"}\'', "It is not a Python"),
+        ('echo \'@hnf python {"version": [3, 9, 1], "found": {"numpy": "1", "safetensors": "", "torch": ""}}\'',
+         "It is Python 3.9.1, and 3.11 or newer is needed"),
+    ],
+)  # fmt: skip
+def test_what_cannot_learn_is_said(tmp_path, script, problem) -> None:
+    found = look(program(tmp_path / "other", script))
+    assert (found.problem, found.command) == (problem, "")
+
+
+def test_what_cannot_be_run_is_said(tmp_path) -> None:
+    (tmp_path / "text").write_text("no program")
+    assert look(str(tmp_path / "none")).problem == "There is no such file"
+    assert look(str(tmp_path / "text")).problem.startswith("It cannot be started")
+
+
+def test_a_program_that_never_answers_is_ended_with_all_it_started(tmp_path) -> None:
+    noted = tmp_path / "pid"
+    found = look(program(tmp_path / "slow", f"sleep 60 & echo $! > {noted}; wait"), timeout_s=0.5)
+    assert found.problem == "It gave no answer within 0.5 s"
+    assert is_gone(int(noted.read_text()))
+
+
+def test_the_preferences_say_what_was_found_and_diagnose_too(tmp_path, name_python, learned) -> None:
+    """Drawing runs nothing: what is shown is what the button found."""
+    with pytest.raises(RuntimeError, match="Name an external Python"):
+        bpy.ops.hnf.python_check()
+    bare = program(tmp_path / "bare", f'exec "{sys.executable}" -S -I "$@"')
+    name_python(bare)
+    assert "not checked" in dict(collect())["External Python"]
+    assert bpy.ops.hnf.python_check() == {"FINISHED"}
+    said = Recorder()
+    preferences = SimpleNamespace(
+        bl_rna=SimpleNamespace(properties=HnfPreferences.__annotations__), external_python=bare
+    )  # fmt: skip
+    draw_outside_python(said, preferences)
+    assert "It lacks numpy" in said.words
+    assert "-m pip install" in said.words
+    assert said.operators == ["hnf.python_check", "hnf.python_copy"]
+    assert "It lacks numpy" in dict(collect())["External Python"]
+    preferences.external_python = "/another"
+    draw_outside_python(again := Recorder(), preferences)
+    assert "It lacks" not in again.words
+    with pytest.raises(RuntimeError, match="lacks something"):
+        bpy.ops.hnf.learn_run(kind="simulated", library="oak-wood")
+
+
+def test_without_a_python_the_button_says_why(lone_bake) -> None:
+    with pytest.raises(RuntimeError, match="Name an external Python"):
+        bpy.ops.hnf.learn()
+
+
+@pytest.mark.parametrize("kind", ["simulated", *sorted(set(LICENCES) - {"simulated"})])
+def test_the_dialog_shows_the_licence_of_what_is_learned(kind) -> None:
+    said = Recorder()
+    HNF_OT_learn.draw(SimpleNamespace(layout=said, kind=kind, bl_rna=rna_of("hnf.learn")), context_of())
+    assert LICENCES[kind] in said.words
+    assert ("folder" in said.props) == (kind != "simulated")
+
+
+@pytest.mark.skipif(NO_TORCH, reason="needs a Python with torch: make env-test")
+def test_a_lesson_goes_on_after_a_cancel_and_its_material_is_heard(warm_bake, learned, tmp_path) -> None:
+    """Esc leaves the checkpoint and nothing else; the second run ends with the material in the slot; the stroke over it
+    is what the field of that material says, from the bake and from the preview alike."""
+    plate, stroke = small_scene()
+    lesson = lesson_of(tmp_path)
+    pid = begin(lesson).pid
+    assert len(my_folders()) == 1
+    done = reach("epoch", 1)
+    assert current.cancel()
+    assert is_gone(pid)
+    assert STATE.job is None
+    assert "go on where it was" in STATE.last_job.message
+    assert [path.suffix for path in learned.iterdir()] == [".checkpoint"]
+    assert own_word(plate.active_material) == ""
+
+    again = begin(lesson)
+    reach("epoch", done + 1)
+    ended = finish(again)
+    assert ended.ok, ended
+    assert (ended.written, ended.details) == (1, (LICENCES["lmt"],))
+    assert [path.name for path in learned.iterdir()] == [f"{NAME} (lmt).hnf"]
+    material = own_word(plate.active_material)
+    assert material == read_hnf(learned / f"{NAME} (lmt).hnf")
+    assert (material.name, material.licence) == (NAME, LICENCES["lmt"])
+
+    assert running.bake_in_line(bpy.context.scene, bpy.context.view_layer).ok
+    bake = load_bake(stroke)
+    assert {own_material(field, "").name for field in bake.stroke.fields} == {NAME}
+    assert any("relief is not felt" in note for note in bake.notes)
+    wanted = synthesise_parts(load_field(), bake.stroke, seed=bake.seed).signal.samples
+    shared = synthesise_parts(load_field(), replace(bake.stroke, fields=()), seed=bake.seed).signal.samples
+    heard = hear(present(stroke, bpy.context.scene), Look(), Kept()).signal
+    assert heard.samples.tobytes() == wanted.tobytes()
+    assert not np.array_equal(wanted, shared)
+    assert float(np.abs(wanted).max()) > 0.0
+
+
+def test_a_killed_lesson_is_told(lone_bake, learned, tmp_path) -> None:
+    """While recordings are gathered: of the simulator, which takes its time."""
+    small_scene()
+    job = begin(Lesson("simulated", "", "oak-wood", 60.0, 1))
+    reach(GATHERING, 0)
+    kill(job.pid)
+    ended = finish(job)
+    assert not ended.ok
+    assert "killed (signal 9)" in ended.message
+    assert "same choices" in ended.message
+    assert list(learned.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("lesson", "said"),
+    [
+        (Lesson("simulated", "", "unobtainium", 5.0, 1), "unobtainium"),
+        (Lesson("hatt", "/nowhere", "ABS Plastic", 5.0, 1), "/nowhere"),
+    ],
+)
+def test_a_lesson_that_cannot_be_is_told_in_its_own_words(lone_bake, learned, name_python, lesson, said) -> None:
+    small_scene()
+    ended = finish(begin(lesson))
+    assert not ended.ok
+    assert said in ended.message
+    assert list(learned.iterdir()) == []
+
+
+def test_a_python_that_is_none_leaves_nothing(lone_bake, learned, tmp_path, name_python) -> None:
+    name_python(tmp_path / "gone")
+    with pytest.raises(RuntimeError, match=r"the external Python could not be started.*preferences"):
+        bpy.ops.hnf.learn_run(kind="simulated", library="oak-wood")
+    with pytest.raises(RuntimeError, match="No folder is chosen"):
+        bpy.ops.hnf.learn_run(kind="hatt", name="ABS Plastic")
+    assert my_folders() == []
+    assert current.cancel() is False
+
+
+def test_a_lessons_parent_that_dies_takes_it_along(tmp_path) -> None:
+    """Its standard input ends."""
+    import subprocess
+
+    from hnf_blender.jobs.records import to_text
+    from hnf_core import errors
+
+    lesson = to_text(Lesson("simulated", "", "oak-wood", 60.0, 1))
+    words = [sys.executable, str(learning.WORKER), str(Path(errors.__file__).parent), lesson, str(tmp_path / "out")]
+    process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    assert process.stdin is not None
+    while b"gathering" not in process.stdout.readline():
+        assert process.poll() is None
+    process.stdin.close()
+    assert process.wait(timeout=20.0) == 3
+    process.stdout.close()
+    assert not is_alive(process.pid)
+
+
+def test_a_slot_that_has_its_word_keeps_it_and_the_material_is_offered(tmp_path) -> None:
+    plate, _ = small_scene()
+    made, kept = from_library(find("slate")), tmp_path / "kept.hnf"
+    for said in ("library", "definition"):
+        material = plate.active_material
+        if said == "library":
+            material.hnf_touch.library = "oak-wood"
+        else:
+            carry(material, from_library(find("oak-wood")))
+        text = give_to(made, Slot(PLATE, 0), kept)
+        assert str(kept) in text
+        offered = next(each for each in bpy.data.materials if each.use_fake_user)
+        assert own_word(offered) == made
+        assert plate.active_material == material
+        bpy.data.materials.remove(offered)
+    for nowhere in (Slot(), Slot("Gone"), Slot(PLATE, 7)):
+        give_to(made, nowhere, kept)
+        assert own_word(plate.active_material) != made
+    plate.active_material = None
+    assert PLATE in give_to(made, Slot(PLATE, 0), kept)
+    assert own_word(plate.active_material) == made
+
+
+def test_equal_choices_meet_at_one_place_and_others_elsewhere(learned) -> None:
+    lesson = Lesson("hatt", "/data", "ABS Plastic", 480.0, 40)
+    assert weights_path(lesson) == weights_path(replace(lesson))
+    assert len({weights_path(each) for each in (lesson, replace(lesson, epochs=41), replace(lesson, kind="lmt"))}) == 3
+
+
+def test_nothing_is_half_undone() -> None:
+    """One undo step, made when the material is given; the dialog that asks makes none."""
+    assert "UNDO" in HNF_OT_learn_run.bl_options
+    assert not getattr(HNF_OT_learn, "bl_options", set())
