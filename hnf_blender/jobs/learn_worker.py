@@ -47,7 +47,8 @@ def say(kind: str, **values: object) -> None:
 
 def main(core: str, lesson: str, out: str) -> int:
     leave_with_parent()
-    sys.path.pop(0)  # this file's folder, whose modules are the add-on's
+    own = str(Path(__file__).resolve().parent)  # its modules are the add-on's, and no library is to meet them
+    sys.path[:] = [entry for entry in sys.path if os.path.realpath(entry) != own]
     if hasattr(os, "nice"):
         os.nice(NICENESS)
     try:

@@ -238,6 +238,25 @@ def test_an_actuator_is_driven_from_the_installed_extension(profile: Profile) ->
     assert told == {"problem": "", "looked": True, "missing": [], "foreign": False}
 
 
+def test_a_python_without_blender_learns_with_the_code_inside_the_zip(profile: Profile) -> None:
+    """As far as the material's name, which training comes after: with no other hnf_core in reach, and no bpy."""
+    inside = next(profile.folder.glob("extensions/user_default/hnf"))
+    lesson = {"kind": "simulated", "folder": "", "material": "unobtainium", "seconds": 5.0, "epochs": 1}
+    site = next(entry for entry in sys.path if entry.endswith("site-packages"))
+    guard = f"import sys; sys.path.append({site!r}); sys.modules['bpy'] = None; import runpy; sys.argv.pop(0); "
+    words = [str(inside / "jobs" / "learn_worker.py"), str(inside / "hnf_core"), json.dumps(lesson), "out.safetensors"]
+    start = f"{guard}runpy.run_path(sys.argv[0], run_name='__main__')"
+    with subprocess.Popen(
+        [sys.executable, "-S", "-I", "-c", start, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        cwd=profile.folder,
+    ) as child:  # fmt: skip
+        assert child.stdout is not None
+        said = child.stdout.read().decode()
+    assert child.returncode == 1, said
+    assert "@hnf Broken" in said
+    assert "unobtainium" in said
+
+
 def test_switched_on_and_off_fifty_times_it_leaves_nothing_behind(profile: Profile) -> None:
     """Counted in Blender itself: classes, properties, handlers, keymap items, menu entries, threads."""
     code = f"""

@@ -195,7 +195,7 @@ def test_a_lesson_goes_on_after_a_cancel_and_its_material_is_heard(warm_bake, le
     assert running.bake_in_line(bpy.context.scene, bpy.context.view_layer).ok
     bake = load_bake(stroke)
     assert {own_material(field, "").name for field in bake.stroke.fields} == {NAME}
-    assert any("relief is not felt" in note for note in bake.notes)
+    assert any("its shader's relief is not felt" in note for note in bake.notes)
     wanted = synthesise_parts(load_field(), bake.stroke, seed=bake.seed).signal.samples
     shared = synthesise_parts(load_field(), replace(bake.stroke, fields=()), seed=bake.seed).signal.samples
     heard = hear(present(stroke, bpy.context.scene), Look(), Kept()).signal
