@@ -81,8 +81,8 @@ class BakedStroke:
 
     def _learned_notes(self) -> list[str]:
         return [
-            f"material '{each.shader}' was learned ({each.field.metadata.get('licence', '')}): its shader's relief is not "
-            "felt on top of it."
+            f"material '{each.shader}' was learned ({each.field.metadata.get('licence', '')}): "
+            "its shader's relief is not felt on top of it."
             for each in self.materials.values()
             if each.field is not None
         ]
