@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
+from dataclasses import replace
 from typing import Any
 
 from . import timeline
@@ -21,8 +23,13 @@ HANDLERS = (
 
 BUDGET_S = 0.02
 """Of looking at strokes that are not the active one, in one tick."""
+BUSY_S = 0.5
+"""From then on the panel says that a signal is on its way. To draw that at once would only keep it waiting: while
+Blender draws, nothing is collected."""
 
 _seen: object = None
+_drawn: object = None
+_busy_since = math.inf
 _waiting: list[str] = []
 
 
@@ -55,7 +62,7 @@ def tick() -> float:
 
 
 def _look(context: Any, timeline_plays: bool) -> None:
-    global _seen
+    global _seen, _drawn
     import bpy
 
     from .. import actuator
@@ -93,12 +100,23 @@ def _look(context: Any, timeline_plays: bool) -> None:
         if other is not None:
             current.refresh(other, context, wait=False, first=False)
     shown = active.name if active is not None else ""
-    before = PREVIEW.facts.get(shown)
     for name in heard | {shown} - {""}:
         current.tell(name, scene)
-    if heard or ended or PREVIEW.facts.get(shown) != before:
+    drawn = shown, _worth_drawing(PREVIEW.facts.get(shown))
+    if heard or ended or drawn != _drawn:
+        _drawn = drawn
         redraw_tab()
     _sound(context, heard, timeline_plays)
+
+
+def _worth_drawing(facts: PreviewFacts | None) -> PreviewFacts | None:
+    """Facts as the panel is to show them: busy only after BUSY_S."""
+    global _busy_since
+    if facts is None or not facts.busy:
+        _busy_since = math.inf
+        return facts
+    _busy_since = min(_busy_since, time.monotonic())
+    return facts if time.monotonic() - _busy_since >= BUSY_S else replace(facts, busy=False)
 
 
 def _sound(context: Any, heard: set[str], timeline_plays: bool) -> None:

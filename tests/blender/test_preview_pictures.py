@@ -176,3 +176,20 @@ def test_letters_have_their_shape() -> None:
     assert dots("1").shape == (7, 6)
     assert "".join("#" if ink else "." for ink in dots("l")[0]) == ".##..."
     assert len({dots(each).tobytes() for each in "0123456789"}) == 10
+
+
+def test_a_signal_on_its_way_is_drawn_only_where_it_takes_long(monkeypatch) -> None:
+    """What comes at once would be kept waiting by the drawing of its announcement."""
+    from types import SimpleNamespace
+
+    from hnf_blender import preview
+
+    now = [10.0]
+    monkeypatch.setattr(preview, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    ready, busy = preview.PreviewFacts("Along"), preview.PreviewFacts("Along", busy=True)
+    assert preview._worth_drawing(None) is None
+    for _ in range(2):  # the second announcement waits as long as the first
+        assert preview._worth_drawing(busy) == ready
+        now[0] += preview.BUSY_S
+        assert preview._worth_drawing(busy) == busy
+        assert preview._worth_drawing(ready) == ready
