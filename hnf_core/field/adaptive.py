@@ -31,6 +31,8 @@ on leather, brass and canvas the tolerance was then kept (tests hold some)."""
 _PARABOLA = 8.0 / 15.0
 """Mean square of what a parabola misses of its chord, over the square in the middle."""
 AT_ONCE = 512
+MOST = 40_000
+"""Samples: 0.8 GB on the way. Who follows a stroke further than that asks for more than its states know."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +55,15 @@ class Sampled:
         )
 
 
-def sample_emission(evaluate: Evaluate, count: int, tolerance: float) -> Sampled:
+def sample_emission(
+    evaluate: Evaluate, count: int, tolerance: float, turns: Samples = np.zeros(0, dtype=np.int64)
+) -> Sampled:
     """Emissions over samples 0 … count of a field with one head.
 
-    tolerance: root of the power that the straight lines miss over that of the stroke, 0 for as fine as FINEST.
+    tolerance: root of the power that the straight lines miss over that of the stroke, 0 for as fine as FINEST. turns:
+    samples that are asked for in any case, since something begins or ends there. Past MOST samples it stops.
     """
-    at = np.unique(np.append(np.arange(0, count, COARSEST), count))
+    at = np.unique(np.concatenate([np.arange(0, count, COARSEST), turns[turns < count], [count]]))
     emission = _evaluate(evaluate, at)
     pending = np.stack([at[:-1], at[1:]], axis=1)
     settled, power = np.zeros((0, 2), dtype=np.int64), np.zeros(0)
@@ -76,7 +81,7 @@ def sample_emission(evaluate: Evaluate, count: int, tolerance: float) -> Sampled
         missed = float(so_far[-1] / total) if len(so_far) and total > 0.0 else 0.0
         worst = order[np.searchsorted(so_far, (SAFETY * tolerance) ** 2 * total, side="right") :]
         worst = worst[np.diff(settled[worst], axis=1)[:, 0] > FINEST]
-        if len(worst) == 0:
+        if len(worst) == 0 or len(at) > MOST:
             return Sampled(at, emission, missed)
         pending = settled[np.sort(worst)]
         settled, power = np.delete(settled, worst, axis=0), np.delete(power, worst)

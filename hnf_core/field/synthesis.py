@@ -41,6 +41,7 @@ from .timeline import (
     states_in,
     states_of,
 )
+from .turns import turns
 
 Float = NDArray[np.float64]
 Emitter = Callable[[Field, Condition], Emission]
@@ -215,7 +216,7 @@ def _prepare_within(
             alpha[rows], sigma_dt[rows] = found.alpha, found.sigma_dt
         return Emission(alpha, sigma_dt)
 
-    sampled = sample_emission(emit, count, tolerance)
+    sampled = sample_emission(emit, count, tolerance, turns(action, token_index))
     knots, amplitude = accumulated(field.config, sampled, count)
     if carriers.arc_count:
         reading = reading_frequency(action, carriers) < BAND_END_HZ

@@ -14,7 +14,7 @@ from hnf_core.field.adaptive import COARSEST, FINEST, sample_emission
 from hnf_core.field.field import Emission, evaluate
 from hnf_core.field.reference import synthesise_reference
 from hnf_core.field.stroke import HeightProfile, uniform_stroke
-from hnf_core.field.synthesis import prepare, render_block, synthesise
+from hnf_core.field.synthesis import prepare, render_block, synthesise, texture_term
 from hnf_core.field.timeline import action_at, condition_of, sample_count, states_of
 from hnf_core.field.weights import load_field
 from hnf_core.material.library import find
@@ -132,6 +132,22 @@ def test_a_signal_within_the_tolerance_of_the_reference():
         prepared = prepare(linear_field(), stroke, seed=3, tolerance=10 ** (tolerance_db / 20))
         error = render_block(prepared, 0, prepared.count) - exact
         assert 10 * np.log10(np.mean(np.square(error)) / np.mean(np.square(exact))) < tolerance_db
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    st.sampled_from(["taps", "stops", "pushes"]),
+    st.lists(st.integers(5, 190), min_size=1, max_size=6),
+    st.integers(1, 8),
+)
+def test_nothing_short_hides_between_two_evaluations(kind, starts, length):
+    within = np.any([(np.arange(201) >= at) & (np.arange(201) <= at + length) for at in starts], axis=0)
+    speed = np.where(within & (kind == "stops"), 0.0, 0.1)
+    force = {"taps": np.where(within, 1.0, 0.0), "stops": np.ones(201), "pushes": np.where(within, 3.0, 0.3)}[kind]
+    stroke = uniform_stroke(make_action(speed, force), rough_token(), WOOD)
+    few, all_ = (prepare(linear_field(), stroke, seed=1, tolerance=each) for each in (0.03, 0.0))
+    one, two = (texture_term(each, 0, each.count) for each in (few, all_))
+    assert np.sqrt(np.mean(np.square(one - two))) < 0.03 * np.sqrt(np.mean(np.square(two)))
 
 
 def test_a_steady_stroke_needs_few_states_and_sounds_the_same():

@@ -1,0 +1,44 @@
+"""Where a hand turns: what lies between two evaluations of F_Θ must not hide there.
+
+An action is known at every state and costs nothing to read. A tap, a stop or a push shorter than the distance between
+two evaluations would otherwise never be asked for.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..action.action import Action
+from .linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S
+from .timeline import SAMPLES_PER_STATE
+
+Float = NDArray[np.float64]
+
+BENT = 0.25
+"""Of log speed, log force and direction (radians): what the straight lines between turns may leave out. F_Θ answers to
+them about one to one, and what it makes of such a bend is told from the middle between two turns."""
+
+
+def turns(action: Action, token_index: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Samples of the model rate, ascending, of the states between which an action at ACTION_RATE_HZ is straight within
+    BENT, on one material, and in contact or in the air throughout."""
+    force = np.where(action.contact, np.maximum(action.force, FORCE_FLOOR_N), FORCE_FLOOR_N)
+    course = np.stack(
+        [np.log(np.maximum(action.speed, SPEED_FLOOR_M_S)), np.log(force), *action.direction.T], axis=1
+    )  # fmt: skip
+    changes = np.flatnonzero((np.diff(token_index) != 0) | (np.diff(action.contact.astype(np.int8)) != 0))
+    kept = np.unique(np.concatenate([[0, len(course) - 1], changes, changes + 1]))
+    pending = list(zip(kept[:-1].tolist(), kept[1:].tolist(), strict=True))
+    found = set(kept.tolist())
+    while pending:
+        low, high = pending.pop()
+        if high - low < 2:
+            continue
+        share = np.arange(1, high - low)[:, None] / (high - low)
+        off = np.abs(course[low + 1 : high] - (course[low] + share * (course[high] - course[low]))).max(axis=1)
+        worst = int(np.argmax(off))
+        if off[worst] > BENT:
+            found.add(low + 1 + worst)
+            pending += [(low, low + 1 + worst), (low + 1 + worst, high)]
+    return SAMPLES_PER_STATE * np.array(sorted(found), dtype=np.int64)
