@@ -153,6 +153,19 @@ def test_position_is_the_integral_of_speed():
     np.testing.assert_allclose(np.gradient(action.position, 1 / 200.0)[5:-5], action.speed[5:-5], atol=2e-3)
 
 
+@pytest.mark.parametrize("rate", [1000.0, 10_000.0])
+def test_a_vibration_in_a_fine_table_does_not_fold_to_a_tone(rate):
+    time = np.arange(0.0, 2.0, 1.0 / rate)
+    slow, fast = np.sin(2 * np.pi * 5 * time), np.sin(2 * np.pi * 150 * time)
+    force = 1.0 + 0.2 * slow + 0.2 * fast
+    action = action_from_table(time, np.zeros(len(time)), np.ones(len(time)), force)
+    middle = (action.time > 0.1) & (action.time < 1.9)
+    left = action.force[middle] - 1.0 - 0.2 * np.sin(2 * np.pi * 5 * action.time[middle])
+    assert np.abs(left).max() < 0.02
+    np.testing.assert_allclose(action.speed, 1.0, rtol=1e-12)
+    np.testing.assert_allclose(action.position, action.time, atol=1e-9)
+
+
 def test_direction_turns_the_short_way():
     action = action_from_table(np.array([0.0, 1.0]), np.array([np.pi - 0.1, -np.pi + 0.1]), np.ones(2), np.ones(2))
     assert np.all(action.direction[:, 0] < -0.9)
