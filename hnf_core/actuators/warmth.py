@@ -1,4 +1,5 @@
-"""What the coils of a device have warmed to, kept from one stream to the next: starting anew cools nothing."""
+"""What the coils of a device have warmed to, kept from one stream to the next of one process: starting anew cools
+nothing. Another process knows nothing of it."""
 
 from __future__ import annotations
 
