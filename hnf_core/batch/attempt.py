@@ -6,6 +6,7 @@ import os
 import shutil
 import socket
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +22,8 @@ from .workplace import MARKER_NAME, Marker, begin_with, is_dead, marker_of, part
 RUN_NAME = ".hnf-batch"
 """In the batch's folder: which run may go on."""
 STOPPED = "the batch was stopped."
+UNREADABLE_S = 30.0
+"""How long a shared folder may be away in a row while a command runs."""
 OWN_ERRORS = (1, 2)
 """Exit codes of hnf that say so in one line: the same command would fail again."""
 
@@ -65,7 +68,7 @@ def attempt_order(order: Order) -> Outcome:
         _forget(dead)
         began = time.time()
         words = (*order.words, "--out", str(part / order.out))
-        ended = run_child(words, Path(order.base), marker.fileno(), lambda: may_go_on(order))
+        ended = run_child(words, Path(order.base), marker.fileno(), may_go_on(order))
         return _kept(order, part, ended, began, earlier)
 
 
@@ -100,9 +103,20 @@ def read_run(folder: Path) -> str | None:
         return None
 
 
-def may_go_on(order: Order) -> bool:
-    """Nobody has stopped the batch of this order."""
-    return read_run(Path(order.folder)) == order.run
+def may_go_on(order: Order, clock: Callable[[], float] = time.monotonic) -> Callable[[], bool]:
+    """A look at whether nobody has stopped the batch of this order. A folder that cannot be read says nothing, but no
+    longer than UNREADABLE_S in a row. clock: [s]."""
+    heard = clock()
+
+    def look() -> bool:
+        nonlocal heard
+        said = read_run(Path(order.folder))
+        if said is None:
+            return clock() - heard < UNREADABLE_S
+        heard = clock()
+        return said == order.run
+
+    return look
 
 
 def earlier_of(order: Order, dead: list[Path]) -> tuple[str, ...]:

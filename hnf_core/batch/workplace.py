@@ -19,7 +19,8 @@ from pathlib import Path
 from typing import IO
 
 from ..errors import FileError
-from .record import CACHE_NAME, is_ours
+from .job import RECORD_NAME
+from .record import CACHE_NAME, holds, is_ours, read_record
 
 MARKER_NAME = ".attempt"
 PART, OLD = ".part", ".old"
@@ -41,7 +42,7 @@ class Marker:
 @contextlib.contextmanager
 def part_folder(folder: Path, name: str, marker: Marker) -> Iterator[tuple[Path, IO[str]]]:
     """A new part folder and its locked marker. What is left of it at the end is reduced to what an attempt can begin
-    with. Raises FileError where the disk refuses."""
+    with, unless it is finished. Raises FileError where the disk refuses."""
     try:
         part = Path(tempfile.mkdtemp(prefix=f".{name}~", suffix=PART, dir=folder))
         part.chmod(MODE)
@@ -55,7 +56,7 @@ def part_folder(folder: Path, name: str, marker: Marker) -> Iterator[tuple[Path,
         try:
             yield part, stream
         finally:
-            reduce(part)
+            _leave(part)
 
 
 def parts_of(folder: Path, name: str = "") -> list[Path]:
@@ -119,8 +120,8 @@ def begin_with(source: Path, part: Path) -> None:
 
 
 def publish(part: Path, place: Path) -> None:
-    """Rename part onto place, where an earlier result goes. Raises FileError where something of another kind is in the
-    way, where another attempt has taken part away, or where the disk refuses."""
+    """Rename part onto place, where an earlier result goes. Raises FileError, and the earlier result is back, where
+    something of another kind is in the way, another attempt has taken part away, or the disk refuses."""
     if not is_ours(place):
         raise in_the_way(place)
     try:
@@ -128,7 +129,11 @@ def publish(part: Path, place: Path) -> None:
         if place.exists():
             aside = Path(tempfile.mkdtemp(prefix=f".{place.name}~", suffix=OLD, dir=place.parent))
             place.rename(aside)
-            part.rename(place)
+            try:
+                part.rename(place)
+            except OSError:
+                _put_back(aside, place)
+                raise
             shutil.rmtree(aside, ignore_errors=True)
         else:
             part.rename(place)
@@ -146,16 +151,37 @@ def in_the_way(place: Path) -> FileError:
 
 
 def sweep(folder: Path, wait_s: float = DYING_S) -> list[Path]:
-    """Clear away what attempts have left, but for what others can begin with. Returns the parts that still live."""
-    for path in folder.glob(f".*~*{OLD}"):
-        shutil.rmtree(path, ignore_errors=True)
+    """Clear away what attempts have left, but for results and what others can begin with. Returns the parts that still
+    live."""
     alive = []
     for part in parts_of(folder):
         if is_dead(part, wait_s):
-            reduce(part)
+            _leave(part)
         else:
             alive.append(part)
+    for aside in folder.glob(f".*~*{OLD}"):
+        place = folder / aside.name[1:].rpartition("~")[0]
+        if place.exists() or not (aside / RECORD_NAME).exists():
+            shutil.rmtree(aside, ignore_errors=True)
+        else:
+            _put_back(aside, place)
     return alive
+
+
+def _put_back(aside: Path, place: Path) -> None:
+    with contextlib.suppress(OSError):  # the next sweep tries again
+        aside.rename(place)
+
+
+def _leave(part: Path) -> None:
+    """A finished result stays, for the next attempt to rename; of another part what an attempt can begin with."""
+    record = read_record(part)
+    try:
+        is_finished = record is not None and holds(record, record.key, part)
+    except FileError:  # not to be read now is no reason to delete it
+        return
+    if not is_finished:
+        reduce(part)
 
 
 def _changed(path: Path) -> float:

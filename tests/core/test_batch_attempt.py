@@ -15,7 +15,7 @@ from batch_builders import at_work, direct, half_written, order_for, pipe, proce
 
 from hnf_core.batch import attempt as attempt_module
 from hnf_core.batch import child, in_child
-from hnf_core.batch.attempt import RUN_NAME, attempt, attempt_order, complaint, judged
+from hnf_core.batch.attempt import RUN_NAME, UNREADABLE_S, attempt, attempt_order, complaint, judged, may_go_on
 from hnf_core.batch.child import Ended
 from hnf_core.batch.inputs import version
 from hnf_core.batch.job import Job
@@ -206,6 +206,58 @@ def test_a_result_that_was_not_renamed_any_more_is_not_made_again(
     assert (folder / "a" / "x.wav").read_text() == "found"
     assert ran == []
     assert half_written(folder) == []
+
+
+@pytest.mark.parametrize("refused", ["once", "always", "never: the power fails"])
+def test_a_renaming_that_fails_costs_neither_the_earlier_result_nor_the_new_one(
+    refused: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran, old, new = fake(monkeypatch, 0), *(order_for(folder, "a", ["synth", "--seed", seed]) for seed in "01")
+    assert run(old).state is State.DONE
+    if refused.startswith("never"):
+        left_by(folder, new, finished=True)
+        (folder / "a").rename(folder / ".a~b.old")
+        (folder / ".c~d.old").mkdir()  # made, and nothing moved into it
+    else:
+        rename = Path.rename
+
+        def refuse(path: Path, target: Path) -> Path:
+            if path.suffix == ".part" or (refused == "always" and Path(target) == folder / "a"):
+                raise OSError(5, "Input/output error")
+            return rename(path, target)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, "rename", refuse)
+            outcome = run(new)
+        assert (outcome.state, "Input/output error" in outcome.why) == (State.ACCIDENT, True)
+        assert (folder / "a").exists() is (refused == "once")
+    commands = len(ran)
+    sweep(folder)
+    assert holds(read_record(folder / "a"), old.key, folder / "a")
+    assert [path.suffix for path in half_written(folder)] == [".part"]
+    outcome = run(new)
+    assert (outcome.state, outcome.was_fresh, len(ran)) == (State.DONE, True, commands)
+    assert holds(read_record(folder / "a"), new.key, folder / "a")
+    assert half_written(folder) == []
+
+
+def test_a_folder_that_cannot_be_read_for_a_while_stops_nothing(folder: Path) -> None:
+    now, said = 0.0, folder / RUN_NAME
+    look = may_go_on(order_for(folder, "a", ["synth"]), lambda: now)
+
+    def goes_on(at_s: float, text: str | None) -> bool:
+        nonlocal now
+        now = at_s
+        said.unlink(missing_ok=True) if text is None else said.write_text(text)
+        return look()
+
+    last = 40.0 + UNREADABLE_S - 1.0
+    assert all([goes_on(40.0, "r"), goes_on(40.2, None), goes_on(last, None), goes_on(last + 0.2, "r")])
+    assert goes_on(last + UNREADABLE_S, None)
+    assert not goes_on(last + 0.2 + UNREADABLE_S, None)
+    assert goes_on(200.0, "r")
+    assert not goes_on(200.2, "")
+    assert not goes_on(200.4, "another")
 
 
 def test_a_stopped_attempt_leaves_nothing_half_written(tmp_path: Path, folder: Path) -> None:
