@@ -14,6 +14,7 @@ from ..props.scene import actuator_of
 from ..state.redraw import redraw_tab
 from ..translations import tr
 from .active import one_line
+from .greyed import greyed
 
 NO_ACTUATOR = "Strokes are played on speakers: choose an actuator in the Actuator panel"
 
@@ -21,8 +22,7 @@ NO_ACTUATOR = "Strokes are played on speakers: choose an actuator in the Actuato
 def needs_actuator(cls: Any, context: Any) -> bool:
     """For poll(): True where an actuator is chosen, else says why greyed."""
     if chosen_output(context) == SPEAKERS:
-        cls.poll_message_set(NO_ACTUATOR)
-        return False
+        return greyed(cls, NO_ACTUATOR)
     return True
 
 

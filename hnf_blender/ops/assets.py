@@ -7,6 +7,8 @@ from typing import Any
 
 import bpy
 
+from .greyed import greyed
+
 FOLDER = Path(__file__).resolve().parents[1] / "assets"
 NAME = "Haptic Neural Fields"
 
@@ -28,12 +30,10 @@ class HNF_OT_assets_add(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     @classmethod
     def poll(cls, context: Any) -> bool:
         if not FOLDER.is_dir():
-            cls.poll_message_set("This build of the add-on has no assets. Install the zip from its releases")
-        elif asset_library(context) is not None:
-            cls.poll_message_set("The asset library is in the preferences already")
-        else:
-            return True
-        return False
+            return greyed(cls, "This build of the add-on has no assets. Install the zip from its releases")
+        if asset_library(context) is not None:
+            return greyed(cls, "The asset library is in the preferences already")
+        return True
 
     def execute(self, context: Any) -> set[str]:
         library = context.preferences.filepaths.asset_libraries.new(name=NAME, directory=str(FOLDER))
@@ -52,8 +52,7 @@ class HNF_OT_assets_remove(bpy.types.Operator):  # type: ignore[misc]  # noqa: N
     @classmethod
     def poll(cls, context: Any) -> bool:
         if asset_library(context) is None:
-            cls.poll_message_set("The asset library is not in the preferences")
-            return False
+            return greyed(cls, "The asset library is not in the preferences")
         return True
 
     def execute(self, context: Any) -> set[str]:

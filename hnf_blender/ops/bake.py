@@ -14,6 +14,7 @@ from ..state.redraw import redraw_tab
 from ..state.session import STATE, JobStatus, LastJob
 from ..translations import tr
 from ..ui.texts import job_text, left_text
+from .greyed import greyed
 from .modal_job import ModalJob, no_job_runs
 
 
@@ -110,8 +111,7 @@ class HNF_OT_bake_cancel(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
     @classmethod
     def poll(cls, context: Any) -> bool:
         if not current.is_running():
-            cls.poll_message_set("No bake is running.")
-            return False
+            return greyed(cls, "No bake is running.")
         return True
 
     def execute(self, context: Any) -> set[str]:
@@ -158,8 +158,7 @@ class HNF_OT_purge(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
 
 def _has_strokes(operator: Any, context: Any) -> bool:
     if not strokes_of(context.scene):
-        operator.poll_message_set("The scene has no stroke yet. Draw one, or add one in the list of strokes.")
-        return False
+        return greyed(operator, "The scene has no stroke yet. Draw one, or add one in the list of strokes.")
     return True
 
 

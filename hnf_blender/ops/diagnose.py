@@ -20,6 +20,7 @@ from ..state.folders import cache_folder
 from ..state.session import STATE
 from ..translations import tr
 from ..ui.texts import byte_text
+from .greyed import greyed
 
 PACKAGES = ("OpenEXR", "embreex", "safetensors", "matplotlib")
 
@@ -161,8 +162,7 @@ class HNF_OT_cache_clear(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
     @classmethod
     def poll(cls, _context: Any) -> bool:
         if STATE.job is not None:
-            cls.poll_message_set("A bake is running and uses the cache")
-            return False
+            return greyed(cls, "A bake is running and uses the cache")
         return True
 
     def execute(self, _context: Any) -> set[str]:

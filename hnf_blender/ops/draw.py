@@ -14,6 +14,7 @@ from hnf_core.units import m_to_mm, mm_to_m
 from ..props.stroke import FORCE_MAX_N
 from ..translations import tr
 from .active import AS_SET, make_active, metres_of, one_line, probe_of
+from .greyed import greyed
 
 PROBE_ITEMS = [
     (AS_SET, "As in the preferences", "The probe that the preferences name for new strokes"),
@@ -107,8 +108,7 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
     @classmethod
     def poll(cls, context: Any) -> bool:
         if context.mode != "OBJECT":
-            cls.poll_message_set("Strokes are drawn in Object Mode: press Tab")
-            return False
+            return greyed(cls, "Strokes are drawn in Object Mode: press Tab")
         return True
 
     def draw(self, _context: Any) -> None:

@@ -13,6 +13,7 @@ from ..compat import beside_the_file
 from ..props.scene import active_stroke, strokes_of
 from ..state.session import STATE
 from ..translations import tr
+from .greyed import greyed
 from .materials import UNDOABLE, felt_object
 
 if TYPE_CHECKING:  # what reads files is loaded with the first drop, not when the add-on is switched on
@@ -106,8 +107,7 @@ class HNF_OT_import_sound(bpy.types.Operator):  # type: ignore[misc]  # noqa: N8
     @classmethod
     def poll(cls, context: Any) -> bool:
         if context.mode != "OBJECT":
-            cls.poll_message_set("Leave Edit Mode first: a Speaker is added in Object Mode")
-            return False
+            return greyed(cls, "Leave Edit Mode first: a Speaker is added in Object Mode")
         return True
 
     def invoke(self, context: Any, _event: Any) -> set[str]:

@@ -12,6 +12,7 @@ from ..props.export_formats import FORMAT_ITEMS
 from ..props.scene import active_stroke, strokes_of
 from ..state.redraw import redraw_tab
 from ..translations import tr
+from .greyed import greyed
 from .preview import can_be_heard
 
 UNDOABLE = {"REGISTER", "UNDO"}
@@ -34,8 +35,7 @@ class HNF_OT_export(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # 
     @classmethod
     def poll(cls, context: Any) -> bool:
         if not strokes_of(context.scene):
-            cls.poll_message_set("This scene has no stroke to export")
-            return False
+            return greyed(cls, "This scene has no stroke to export")
         return True
 
     def execute(self, context: Any) -> set[str]:
@@ -90,8 +90,7 @@ class HNF_OT_export_copy(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
         from ..preview.facts import PREVIEW
 
         if not PREVIEW.losses:
-            cls.poll_message_set("Nothing was exported yet")
-            return False
+            return greyed(cls, "Nothing was exported yet")
         return True
 
     def execute(self, context: Any) -> set[str]:
@@ -137,8 +136,7 @@ class HNF_OT_add_speaker(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
     @classmethod
     def poll(cls, context: Any) -> bool:
         if context.mode != "OBJECT":
-            cls.poll_message_set("Speakers are added in Object Mode: press Tab")
-            return False
+            return greyed(cls, "Speakers are added in Object Mode: press Tab")
         return can_be_heard(cls, context)
 
     def execute(self, context: Any) -> set[str]:

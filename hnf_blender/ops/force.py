@@ -12,6 +12,7 @@ from ..props.scene import active_stroke
 from ..props.stroke import FORCE_MAX_N
 from ..translations import tr
 from .active import metres_of, one_line
+from .greyed import greyed
 from .strokes import UNDOABLE, needs_stroke
 
 FORCE = "hnf_stroke.force"
@@ -78,8 +79,7 @@ class HNF_OT_stroke_copy_force(bpy.types.Operator):  # type: ignore[misc]  # noq
         if not needs_stroke(cls, context):
             return False
         if not other_strokes(context):
-            cls.poll_message_set("Select the strokes that are to get the force too; the active stroke gives it")
-            return False
+            return greyed(cls, "Select the strokes that are to get the force too; the active stroke gives it")
         return True
 
     def execute(self, context: Any) -> set[str]:
@@ -111,8 +111,7 @@ class HNF_OT_force_graph(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
         if not needs_stroke(cls, context):
             return False
         if bpy.app.background or context.window is None:
-            cls.poll_message_set("A Graph Editor needs a window, and Blender runs in the background")
-            return False
+            return greyed(cls, "A Graph Editor needs a window, and Blender runs in the background")
         return True
 
     def execute(self, context: Any) -> set[str]:

@@ -12,6 +12,7 @@ from ..jobs import current
 from ..state.session import STATE, JobStatus, LastJob
 from ..translations import tr
 from ..ui.texts import job_text, left_text
+from .greyed import greyed
 from .materials import LIBRARY, felt_object
 from .modal_job import ModalJob, no_job_runs
 from .outside_python import python_path
@@ -61,12 +62,10 @@ def can_learn(operator: Any) -> bool:
     if not no_job_runs(operator):
         return False
     if not python_path():
-        operator.poll_message_set("Name an external Python in the add-on's preferences first")
-        return False
+        return greyed(operator, "Name an external Python in the add-on's preferences first")
     found = STATE.outside
     if found is not None and found.problem and bpy.path.abspath(found.path) == python_path():
-        operator.poll_message_set("The external Python lacks something: the add-on's preferences say what to type")
-        return False
+        return greyed(operator, "The external Python lacks something: the add-on's preferences say what to type")
     return True
 
 

@@ -18,6 +18,7 @@ from ..state.redraw import redraw_tab
 from ..translations import tr
 from .active import AS_SET, metres_of, one_line, probe_of
 from .actuator import needs_actuator
+from .greyed import greyed
 
 NOT_LIVE = "Through Blender's own sound nothing can be played live: install sounddevice"
 
@@ -35,11 +36,9 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
         if not needs_actuator(cls, context):
             return False
         if plays_whole(chosen_output(context)):
-            cls.poll_message_set(NOT_LIVE)
-            return False
+            return greyed(cls, NOT_LIVE)
         if context.mode != "OBJECT":
-            cls.poll_message_set("Surfaces are touched in Object Mode: press Tab")
-            return False
+            return greyed(cls, "Surfaces are touched in Object Mode: press Tab")
         return True
 
     def invoke(self, context: Any, _event: Any) -> set[str]:

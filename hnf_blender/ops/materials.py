@@ -12,6 +12,7 @@ from hnf_core.material.library import load_library
 from ..props.scene import active_stroke
 from ..state.session import STATE
 from ..translations import tr
+from .greyed import greyed
 
 UNDOABLE = {"REGISTER", "UNDO"}
 
@@ -66,12 +67,10 @@ class HNF_OT_suggest(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  #
     def poll(cls, context: Any) -> bool:
         obj = felt_object(context)
         if obj is None:
-            cls.poll_message_set("Select a mesh, or a stroke that has a surface")
-        elif not materials_of(obj):
-            cls.poll_message_set("This object has no material to judge by")
-        else:
-            return True
-        return False
+            return greyed(cls, "Select a mesh, or a stroke that has a surface")
+        if not materials_of(obj):
+            return greyed(cls, "This object has no material to judge by")
+        return True
 
     def execute(self, context: Any) -> set[str]:
         from hnf_core.material.prior import rank
@@ -185,8 +184,7 @@ class HNF_OT_stroke_material_auto(bpy.types.Operator):  # type: ignore[misc]  # 
 
 def _stroke_meant(cls: Any, context: Any) -> bool:
     if active_stroke(context) is None:
-        cls.poll_message_set("Draw, add or select a stroke first")
-        return False
+        return greyed(cls, "Draw, add or select a stroke first")
     return True
 
 

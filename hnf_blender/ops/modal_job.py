@@ -12,6 +12,7 @@ from ..state.redraw import redraw_tab
 from ..state.session import STATE, JobStatus, LastJob
 from ..translations import tr
 from .active import one_line
+from .greyed import greyed
 
 TICK_S = 0.1
 
@@ -19,8 +20,7 @@ TICK_S = 0.1
 def no_job_runs(operator: Any) -> bool:
     """For its poll(): whether a job may begin; where not, says why."""
     if current.is_running():
-        operator.poll_message_set("A job is running. Wait for it, or press Esc to cancel it.")
-        return False
+        return greyed(operator, "A job is running. Wait for it, or press Esc to cancel it.")
     return True
 
 

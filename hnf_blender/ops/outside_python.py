@@ -11,6 +11,7 @@ import bpy
 from ..prefs import settings
 from ..state.session import STATE
 from ..translations import tr
+from .greyed import greyed
 from .modal_job import TICK_S
 
 if TYPE_CHECKING:
@@ -39,8 +40,7 @@ class HNF_OT_python_check(bpy.types.Operator):  # type: ignore[misc]  # noqa: N8
     @classmethod
     def poll(cls, _context: Any) -> bool:
         if not python_path():
-            cls.poll_message_set("Name an external Python in the add-on's preferences first")
-            return False
+            return greyed(cls, "Name an external Python in the add-on's preferences first")
         return True
 
     def execute(self, _context: Any) -> set[str]:
@@ -90,8 +90,7 @@ class HNF_OT_python_copy(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
     @classmethod
     def poll(cls, _context: Any) -> bool:
         if STATE.outside is None or not STATE.outside.command:
-            cls.poll_message_set("There is nothing to install, or the external Python was not checked yet")
-            return False
+            return greyed(cls, "There is nothing to install, or the external Python was not checked yet")
         return True
 
     def execute(self, context: Any) -> set[str]:

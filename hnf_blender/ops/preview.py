@@ -13,6 +13,7 @@ from ..props.scene import active_stroke
 from ..state.redraw import redraw_tab
 from ..state.session import STATE, Freshness
 from ..translations import tr
+from .greyed import greyed
 from .strokes import needs_stroke
 
 NOT_BAKED = "Not baked yet: press Bake in the Touch tab"
@@ -27,12 +28,10 @@ def can_be_heard(cls: Any, context: Any) -> bool:
         return False
     stroke = active_stroke(context)
     if not has(stroke, BAKE_PROPERTY):
-        cls.poll_message_set(NOT_BAKED)
-        return False
+        return greyed(cls, NOT_BAKED)
     status = STATE.strokes.get(stroke.name)
     if status is not None and status.freshness in (Freshness.STALE, Freshness.BROKEN):
-        cls.poll_message_set(status.why or "Changed since it was baked: bake it again")
-        return False
+        return greyed(cls, status.why or "Changed since it was baked: bake it again")
     return True
 
 

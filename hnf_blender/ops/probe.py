@@ -13,6 +13,7 @@ from ..jobs import current
 from ..state.session import JobStatus, LastJob
 from ..translations import tr
 from ..ui.texts import left_text
+from .greyed import greyed
 from .modal_job import ModalJob, no_job_runs
 
 
@@ -39,8 +40,7 @@ class HNF_OT_probe(ModalJob, bpy.types.Operator):  # type: ignore[misc]  # noqa:
         if not no_job_runs(cls):
             return False
         if context.mode != "OBJECT":
-            cls.poll_message_set("Surfaces are touched in Object Mode: press Tab")
-            return False
+            return greyed(cls, "Surfaces are touched in Object Mode: press Tab")
         return True
 
     def execute(self, context: Any) -> set[str]:

@@ -7,6 +7,7 @@ from typing import Any
 import bpy
 
 from ..translations import tr
+from .greyed import greyed
 from .strokes import UNDOABLE
 
 TWO_POINTS = "Select two vertices in Edit Mode, or two objects (such as empties) in Object Mode"
@@ -33,8 +34,7 @@ class HNF_OT_set_real_length(bpy.types.Operator):  # type: ignore[misc]  # noqa:
     @classmethod
     def poll(cls, context: Any) -> bool:
         if context.mode not in {"OBJECT", "EDIT_MESH"} or selected_count(context) != 2:
-            cls.poll_message_set(TWO_POINTS)
-            return False
+            return greyed(cls, TWO_POINTS)
         return True
 
     def invoke(self, context: Any, _event: Any) -> set[str]:

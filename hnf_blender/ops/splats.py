@@ -14,6 +14,7 @@ from ..compat import beside_the_file
 from ..state.folders import cache_folder
 from ..translations import tr
 from .active import make_active, one_line
+from .greyed import greyed
 from .strokes import UNDOABLE
 
 if TYPE_CHECKING:  # what reads files is loaded with the first drop, not when the add-on is switched on
@@ -104,8 +105,7 @@ class HNF_OT_import_splats(_Waiting, bpy.types.Operator):  # type: ignore[misc] 
     @classmethod
     def poll(cls, context: Any) -> bool:
         if context.mode != "OBJECT":
-            cls.poll_message_set("Leave Edit Mode first: splats are added in Object Mode")
-            return False
+            return greyed(cls, "Leave Edit Mode first: splats are added in Object Mode")
         return True
 
     def invoke(self, context: Any, _event: Any) -> set[str]:

@@ -14,6 +14,7 @@ from ..props.scene import active_stroke, strokes_of
 from ..translations import tr
 from .active import AS_SET, make_active, metres_of, one_line, probe_of
 from .draw import PROBE_ITEMS
+from .greyed import greyed
 
 UNDOABLE = {"REGISTER", "UNDO"}
 NOT_SELECTED = "No stroke is selected: click one in the Touch tab, or draw one with the stroke tool"
@@ -48,16 +49,14 @@ def touched_object(context: Any) -> Any:
 def needs_object_mode(cls: Any, context: Any) -> bool:
     """For poll(): True in Object Mode, else says why greyed."""
     if context.mode != "OBJECT":
-        cls.poll_message_set("Strokes are made in Object Mode: press Tab")
-        return False
+        return greyed(cls, "Strokes are made in Object Mode: press Tab")
     return True
 
 
 def needs_stroke(cls: Any, context: Any) -> bool:
     """For poll(): True where there is an active stroke, else says why greyed."""
     if active_stroke(context) is None:
-        cls.poll_message_set(NOT_SELECTED)
-        return False
+        return greyed(cls, NOT_SELECTED)
     return True
 
 
@@ -93,8 +92,7 @@ class HNF_OT_stroke_add(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
         if not needs_object_mode(cls, context):
             return False
         if touched_object(context) is None:
-            cls.poll_message_set("Select the mesh object that is to be touched")
-            return False
+            return greyed(cls, "Select the mesh object that is to be touched")
         return True
 
     def execute(self, context: Any) -> set[str]:
@@ -150,8 +148,7 @@ class HNF_OT_stroke_from_curve(bpy.types.Operator):  # type: ignore[misc]  # noq
         if not needs_object_mode(cls, context):
             return False
         if not curves_to_convert(context):
-            cls.poll_message_set("Select a curve object that is no stroke yet")
-            return False
+            return greyed(cls, "Select a curve object that is no stroke yet")
         return True
 
     def execute(self, context: Any) -> set[str]:
@@ -189,8 +186,7 @@ class OfStroke:
     @classmethod
     def poll(cls, context: Any) -> bool:
         if not strokes_of(context.scene):
-            cls.poll_message_set("There is no stroke yet: draw one with the stroke tool")  # type: ignore[attr-defined]
-            return False
+            return greyed(cls, "There is no stroke yet: draw one with the stroke tool")
         return True
 
     def execute(self, context: Any) -> set[str]:

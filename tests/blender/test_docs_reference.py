@@ -79,8 +79,8 @@ def reasons() -> Iterator[str]:
             if isinstance(target, ast.Name)
         }
         for node in ast.walk(tree):
-            if isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "poll_message_set":
-                given = named.get(getattr(node.args[0], "id", ""), node.args[0])
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "greyed":
+                given = named.get(getattr(node.args[1], "id", ""), node.args[1])
                 yield from (
                     part.value
                     for part in ast.walk(given)

@@ -91,3 +91,17 @@ def test_sentences_with_figures_are_german_throughout(monkeypatch) -> None:
     failed = running.told(replace(result, failed=problems), Committed(["A"]), 4.0)
     assert failed.message.endswith("Warum (und 2 weitere Probleme)")
     assert not failed.ok
+
+
+def test_why_a_button_is_grey_is_said_in_german(monkeypatch) -> None:
+    """Blender would show the English that poll() gives it."""
+    from types import SimpleNamespace
+
+    from hnf_blender.ops import greyed
+    from hnf_blender.ops.strokes import needs_object_mode
+
+    monkeypatch.setattr(greyed, "tr", lambda text: GERMAN[text])
+    told: list[str] = []
+    operator, context = SimpleNamespace(poll_message_set=told.append), SimpleNamespace(mode="SCULPT")
+    assert not needs_object_mode(operator, context)
+    assert told == [GERMAN["Strokes are made in Object Mode: press Tab"]]

@@ -10,8 +10,8 @@ from typing import Any
 import bpy
 
 ADDON = Path(__file__).resolve().parents[2] / "hnf_blender"
-LOOKED_UP = {"tr"}
-"""Functions whose text is translated."""
+LOOKED_UP = {"tr": 0, "greyed": 1}
+"""Functions whose text is translated, and which argument it is."""
 TEXT_ARGUMENTS = {"text", "message"}
 
 
@@ -34,15 +34,18 @@ def strings_of_classes(classes: Iterator[Any]) -> set[str]:
 
 
 def strings_of_sources() -> set[str]:
-    """Literals given to tr(), to poll_message_set() and to layouts as text=, in the whole add-on."""
+    """Literals given to tr(), to greyed() and to layouts as text=, in the whole add-on."""
     found: set[str] = set()
     for path in sorted(ADDON.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        named = dict(_constants(tree))
+        for node in ast.walk(tree):
             if not isinstance(node, ast.Call):
                 continue
             name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
-            if (name in LOOKED_UP or name == "poll_message_set") and node.args:
-                found |= _literals(node.args[0])
+            if len(node.args) > LOOKED_UP.get(name, len(node.args)):
+                given = node.args[LOOKED_UP[name]]
+                found |= _literals(named.get(getattr(given, "id", ""), given))
             if name in {"label", "operator", "prop", "menu", "operator_menu_enum"}:
                 shown = {word.arg: word.value for word in node.keywords}
                 translated = shown.get("translate")
@@ -51,10 +54,19 @@ def strings_of_sources() -> set[str]:
     return {text for text in found if any(letter.isalpha() for letter in text)}
 
 
+def _constants(tree: ast.Module) -> Iterator[tuple[str, ast.expr]]:
+    """Names of the module's constants, and what they are."""
+    for node in tree.body:
+        if isinstance(node, ast.Assign):
+            yield from ((target.id, node.value) for target in node.targets if isinstance(target, ast.Name))
+
+
 def _literals(node: ast.expr) -> set[str]:
-    """A text, or those of both sides of a conditional expression."""
+    """A text, or those of both sides of a conditional expression or of an `or`."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return {node.value}
     if isinstance(node, ast.IfExp):
         return _literals(node.body) | _literals(node.orelse)
+    if isinstance(node, ast.BoolOp):
+        return {text for value in node.values for text in _literals(value)}
     return set()
