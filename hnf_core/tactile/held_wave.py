@@ -58,13 +58,16 @@ def held_wave(linear: ArrayLike, mask: ArrayLike, metres_per_pixel: float, fines
         raise UsageError(f"a picture {colour.shape} and its mask {seen.shape} do not fit together.")
     if not metres_per_pixel > 0:
         raise UsageError("metres per pixel must be positive.")
-    finest = max(finest_m / metres_per_pixel, 2.0)
+    at_best = max(finest_m, 2.0 * metres_per_pixel)
+    finest = at_best / metres_per_pixel
     bands = _bands(colour, soft_window(seen), seen, finest)
     if bands is None:
-        return float(finest * metres_per_pixel)
+        return float(at_best)
     frequency, power, among = bands
+    # A pattern that repeats has gaps between its lines, which are not where it ends.
     without_gaps = np.maximum.accumulate(power[::-1])[::-1]
-    return float(min(_cliff(frequency, told, among, finest) for told in (power, without_gaps)) * metres_per_pixel)
+    wave = min(_cliff(frequency, told, among, finest) for told in (power, without_gaps))
+    return float(wave * metres_per_pixel if wave > finest else at_best)
 
 
 def soft_window(mask: Mask) -> Float:
@@ -136,8 +139,8 @@ def _cliff(frequency: Float, power: Float, among: Float, finest: float) -> float
 
 
 def _misfit(log_power: Float, weights: Float, law: Float, floors: Float) -> NDArray[np.floating[Any]]:
-    """(…, floors) mean absolute misfit of law (…, 1, bands) over floors (floors, bands), each as loud as fits: absolute,
-    for a pattern that repeats has lines, which no law has."""
+    """(…, floors) mean absolute misfit of law (…, 1, bands) over floors (floors, bands), each as loud as fits. Not
+    squared: a pattern that repeats has lines, which no law has."""
     told = np.logaddexp(law, np.logaddexp(floors, -RANGE_DB * np.log(10.0) / 10.0))
     off = log_power - told
     off -= np.median(off, axis=-1, keepdims=True)
