@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
+from ctypes import c_float
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -87,14 +88,15 @@ def empty_scene() -> None:
 
 
 def metres_per_unit(scene: Any, override: float | None = None) -> float:
-    """Length of one Blender unit in metres: override, else what the Touch tab says, else the scene's unit scale (1
-    where it has no unit system)."""
+    """Length of one Blender unit in metres: override, as the Touch tab would keep it, else what the Touch tab says, else
+    the scene's unit scale (1 where it has no unit system)."""
     if override is None and scene.hnf.metres_per_unit > 0.0:
         return float(scene.hnf.metres_per_unit)
     if override is not None:
-        if not 0.0 < override < float("inf"):
+        kept = c_float(override).value
+        if not 0.0 < kept < float("inf"):
             raise SceneError(f"{override:g} metres per unit cannot be.", remedy="Give a positive number.")
-        return float(override)
+        return kept
     settings = scene.unit_settings
     return 1.0 if settings.system == "NONE" else float(settings.scale_length)
 

@@ -90,6 +90,9 @@ def touch_steps(
         with timed(report, "save_s"):
             for warning in store_tokens(baked):
                 report.warn(warning)
+            if session.request.metres_per_unit is not None:
+                # Or it would be felt in another size where it is opened.
+                session.scene.hnf.metres_per_unit = session.metres_per_unit
             save_baked(baked_path)
 
 
@@ -171,7 +174,7 @@ def _new_report(session: Session, found: Gathered) -> Report:
     request = session.request
     report = Report(
         scene=_source(request).name,
-        metres_per_unit=session.metres_per_unit,
+        metres_per_unit=float(f"{session.metres_per_unit:.7g}"),  # the scene keeps no more of it
         scale_source="the scene's units" if request.metres_per_unit is None else "--scale",
         skipped=list(found.skipped),
         failed=list(found.failed),
@@ -206,7 +209,7 @@ def _feel(session: Session, job: Job, baked: BakedStroke, views: Views, report: 
         view, notes = views.of_stroke(baked.contacts, baked.touched.surface, baked.touched.obj)
         for note in notes:
             report.warn(note)
-        return deliver(session.request.out, job, baked, felt, view)
+        return deliver(session.request.out, job, baked, felt, view, {stroke.wav for stroke in report.strokes})
 
 
 def _tell(report: Report, request: TouchRequest) -> int:

@@ -294,9 +294,13 @@ def test_units() -> None:
     scene.unit_settings.scale_length = 0.01
     assert metres_per_unit(scene) == pytest.approx(0.01)
     assert metres_per_unit(scene, 0.5) == 0.5
+    told = metres_per_unit(scene, 0.0254)
+    scene.hnf.metres_per_unit = told
+    assert metres_per_unit(scene) == told
+    scene.hnf.metres_per_unit = 0.0
     scene.unit_settings.system = "NONE"
     assert metres_per_unit(scene) == 1.0
-    for bad in (0.0, -1.0, float("nan"), float("inf")):
+    for bad in (0.0, -1.0, 1e-60, 1e60, float("nan"), float("inf")):
         with pytest.raises(SceneError):
             metres_per_unit(scene, bad)
 

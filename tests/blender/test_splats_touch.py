@@ -77,7 +77,6 @@ def baked(ran: Ran):
     """The .blend that the run left, open: surface and cloud."""
     bpy.ops.wm.open_mainfile(filepath=str(ran.out / ran.report["baked_blend"]))
     surface = bpy.data.objects["slab"]
-    bpy.context.scene.hnf.metres_per_unit = METRES
     return surface, cloud_of(surface)
 
 
@@ -119,8 +118,9 @@ def test_the_plan_says_what_the_splats_are_for_and_what_is_missing(ran: Ran, no_
 
 def test_the_baked_file_feels_the_same_as_the_splat_file(ran: Ran, no_work, tmp_path) -> None:
     shutil.copytree(ran.out / "cache", tmp_path / "out" / "cache")
-    code, report = touch(ran.out / ran.report["baked_blend"], tmp_path / "out", "--scale", str(METRES))
+    code, report = touch(ran.out / ran.report["baked_blend"], tmp_path / "out")  # it keeps its scale
     assert code == 0
+    assert report["metres_per_unit"] == METRES
     (first,), (second,) = ran.report["strokes"], report["strokes"]
     assert (tmp_path / "out" / second["wav"]).read_bytes() == (ran.out / first["wav"]).read_bytes()
     assert report["counts"]["renders"] == 1  # the picture
