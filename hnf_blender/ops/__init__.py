@@ -15,6 +15,7 @@ MODULES = (
     "real_length",
     "assets",
     "draw",
+    "stroke_tool",
     "strokes",
     "force",
     "preview",

@@ -77,7 +77,7 @@ def draw_first_steps(layout: Any, context: Any, strokes: list[Any]) -> None:
             paragraph(box, context, tr("There is no mesh to touch yet: add or import one"), icon="ERROR")
             return
         row = side_by_side(box, context)
-        row.operator("wm.tool_set_by_id", text="Stroke Tool", icon="GREASEPENCIL").name = "hnf.stroke"
+        row.operator("hnf.stroke_tool", icon="GREASEPENCIL")
         row.menu("HNF_MT_stroke_add", text="Ready Strokes")
 
 

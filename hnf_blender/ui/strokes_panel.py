@@ -29,7 +29,7 @@ class HNF_PT_strokes(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa
         layout, scene = self.layout, context.scene
         strokes = strokes_of(scene)
         row = side_by_side(layout, context)
-        row.operator("wm.tool_set_by_id", text="Stroke Tool", icon="GREASEPENCIL").name = "hnf.stroke"
+        row.operator("hnf.stroke_tool", icon="GREASEPENCIL")
         row.menu("HNF_MT_stroke_add", text="Ready Strokes", icon="ADD")
         if chosen_output(context) != SPEAKERS:
             layout.operator("hnf.live_touch", text="Live Touch", icon="BRUSH_DATA")

@@ -141,7 +141,7 @@ def test_an_empty_scene_says_what_to_do_first_and_the_hint_goes_away() -> None:
     scene = drawn(panel("HNF_PT_scene"))
     assert scene is not None
     assert "no mesh" not in scene.words
-    assert "wm.tool_set_by_id" in scene.operators
+    assert "hnf.stroke_tool" in scene.operators
     stroke = add_stroke("Rub", plane)
     scene = drawn(panel("HNF_PT_scene"))
     assert scene is not None

@@ -324,3 +324,21 @@ def test_a_pen_that_tells_of_itself_late_and_not_at_the_release(pen, desk):
     pen.move(desk.context, desk.event(84, 100, pressure=0.6))
     pen.move(desk.context, desk.event(86, 100))
     assert [round(sample[1], 6) for sample in pen.samples(desk.context)] == [0.4, 0.4, 0.6, 0.6]
+
+
+def test_the_tool_is_taken_in_object_mode_over_a_view_else_it_says_why():
+    from types import SimpleNamespace
+
+    from hnf_blender.ops.stroke_tool import HNF_OT_stroke_tool
+
+    told = []
+
+    def may(mode, area):
+        context = SimpleNamespace(mode=mode, area=area and SimpleNamespace(type=area))
+        return HNF_OT_stroke_tool.poll.__func__(SimpleNamespace(poll_message_set=told.append), context)
+
+    assert may("OBJECT", "VIEW_3D")
+    assert told == []
+    assert [may("EDIT_MESH", "VIEW_3D"), may("OBJECT", "TEXT_EDITOR"), may("OBJECT", None)] == [False] * 3
+    assert "Object Mode" in told[0]
+    assert "3-D view" in told[1]

@@ -52,7 +52,7 @@ def check_a_scene_opens(stage):
 
 def check_the_tool_draws_a_stroke(stage):
     with stage.over():
-        bpy.ops.wm.tool_set_by_id(name="hnf.stroke")
+        bpy.ops.hnf.stroke_tool()
     yield 0.3
     tool = bpy.context.workspace.tools.from_space_view3d_mode("OBJECT").idname
     stage.require("the tool is taken", tool == "hnf.stroke", tool)

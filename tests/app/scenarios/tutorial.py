@@ -58,7 +58,7 @@ def check_what_it_feels_like_is_chosen(stage):
 
 def check_a_stroke_is_drawn(stage):
     with stage.over():
-        bpy.ops.wm.tool_set_by_id(name="hnf.stroke")
+        bpy.ops.hnf.stroke_tool()
     tool = bpy.context.workspace.tools.from_space_view3d_mode("OBJECT")
     tool.operator_properties("hnf.stroke_draw").timing = "SPEED"
     yield 0.3
