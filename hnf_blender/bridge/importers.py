@@ -88,8 +88,8 @@ def empty_scene() -> None:
 
 
 def metres_per_unit(scene: Any, override: float | None = None) -> float:
-    """Length of one Blender unit in metres: override, as the Touch tab would keep it, else what the Touch tab says, else
-    the scene's unit scale (1 where it has no unit system)."""
+    """Length of one Blender unit in metres: override, as exact as the Touch tab keeps it, else what the Touch tab says,
+    else the scene's unit scale (1 where it has no unit system)."""
     if override is None and scene.hnf.metres_per_unit > 0.0:
         return float(scene.hnf.metres_per_unit)
     if override is not None:
