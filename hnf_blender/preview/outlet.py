@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hnf_core.errors import FileError, SceneError
+from hnf_core.export.sidecar import Maker, maker_beside
 from hnf_core.export.wav import wav_bytes
 from hnf_core.files import write_bytes
 from hnf_core.signal import Signal
@@ -71,7 +72,7 @@ def export_folder(scene: Any) -> Path:
 
 
 def export_of(obj: Any, context: Any, word: str) -> Exported:
-    """Write a stroke into the export folder in the format called word, and say what that cost.
+    """Write a stroke into the export folder in the format called word, in no other stroke's place; say what that cost.
 
     1 stands for the largest acceleration of the scene's actuator. Formats that have a place for a surface get it with
     what is baked on it. Raises SceneError and StrokeError as true_signal does, FileError where the format cannot hold
@@ -80,12 +81,29 @@ def export_of(obj: Any, context: Any, word: str) -> Exported:
     from hnf_core.export.convert import export_signal
     from hnf_core.export.formats import format_of
 
-    from ..touch.deliver import file_stem
+    signal, form, blend = true_signal(obj, context), format_of(word), _blend_of(obj)
+    path = _own_path(export_folder(context.scene), Maker(obj.name, blend), f"{CHOICE_OF[word].stem}{form.suffix}")
+    return export_signal(signal, form, path, _options(obj, context, form), blend)
 
-    signal, form = true_signal(obj, context), format_of(word)
-    stem = file_stem(obj.name) + CHOICE_OF[word].stem
-    path = export_folder(context.scene) / f"{stem}{form.suffix}"
-    return export_signal(signal, form, path, _options(obj, context, form))
+
+def _blend_of(obj: Any) -> str:
+    """Name of the .blend that obj is in; "" where it is not saved yet."""
+    import bpy
+
+    return Path(bpy.data.filepath if obj.library is None else bpy.path.abspath(obj.library.filepath)).name
+
+
+def _own_path(folder: Path, maker: Maker, ending: str) -> Path:
+    """The file of maker's stroke in folder. Where another's is in its place, that one stays: another .blend's by this
+    one's name put into ours, another stroke's by a number."""
+    from ..touch.deliver import file_stem, numbered
+
+    stem = file_stem(maker.stroke)
+    there = maker_beside(folder / f"{stem}{ending}")
+    if there is not None and there.blend and there.blend != maker.blend:
+        stem = f"{stem}-{file_stem(Path(maker.blend).stem) if maker.blend else 'unsaved'}"
+    paths = (folder / f"{each}{ending}" for each in numbered(stem))
+    return next(path for path in paths if maker_beside(path) in (None, maker, Maker(maker.stroke, "")))
 
 
 def _options(obj: Any, context: Any, form: Format) -> ExportOptions:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import unicodedata
+from collections.abc import Container, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +24,11 @@ from .jobs import Job
 from .report import StrokeReport
 
 
-def deliver(folder: Path, job: Job, baked: BakedStroke, felt: Felt, view: StrokeView) -> StrokeReport:
-    """Write the WAV, then the picture, each atomically; returns the stroke's entry for the report."""
+def deliver(
+    folder: Path, job: Job, baked: BakedStroke, felt: Felt, view: StrokeView, taken: Container[str] = ()
+) -> StrokeReport:
+    """Write the WAV, then the picture, each atomically; returns the stroke's entry for the report. taken: the WAVs of
+    the run's other strokes."""
     main, patch = baked.main_material, baked.main_patch
     record, fused = baked.records[patch], baked.fused[patch]
     routes = routes_by_band(fused.routes)
@@ -32,7 +37,7 @@ def deliver(folder: Path, job: Job, baked: BakedStroke, felt: Felt, view: Stroke
     names = facts["library_material"]
     signal = delivered(felt.signal, job.name, facts, felt.confidence)
     data = wav_bytes(signal, where=f"stroke '{job.name}'")
-    stem = file_stem(job.name)
+    stem = next(each for each in numbered(file_stem(job.name)) if f"{each}.wav" not in taken)
     write_bytes(folder / f"{stem}.wav", data)
     stroke_picture(
         folder / f"{stem}.png", title=job.name, action=felt.action, signal=signal, view=view,
@@ -75,6 +80,12 @@ def file_stem(name: str) -> str:
     plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
     slug = re.sub(r"[^A-Za-z0-9]+", "-", plain).strip("-").lower()[:60] or "stroke"
     return f"{slug}-{content_hash(name)[:4]}" if slug != name.lower().replace(" ", "-") else slug
+
+
+def numbered(stem: str) -> Iterator[str]:
+    """The stem, and where that one is taken: stem-2, stem-3, …"""
+    yield stem
+    yield from (f"{stem}-{count}" for count in itertools.count(2))
 
 
 def save_baked(path: Path) -> None:

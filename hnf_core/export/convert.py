@@ -54,10 +54,11 @@ class Exported:
         return f"{self.path}: {self.form.what}; {scale}\n{loss_table(self.loss)}"
 
 
-def export_signal(signal: Signal, form: Format, path: Path, options: ExportOptions) -> Exported:
-    """Write signal to path, atomically, and what its numbers stand for to path.json; then read the file again and
-    measure what is missing. Envelopes are rendered with the signal's seed, at its rate or one that holds the range.
-    Raises FileError for a rate that is none, FileError and UsageError of the format."""
+def export_signal(signal: Signal, form: Format, path: Path, options: ExportOptions, blend: str = "") -> Exported:
+    """Write signal to path, atomically, and what its numbers stand for to path.json, with the name of the .blend it
+    comes from; then read the file again and measure what is missing. Envelopes are rendered with the signal's seed, at
+    its rate or one that holds the range. Raises FileError for a rate that is none, FileError and UsageError of the
+    format."""
     if not 0.0 < signal.sample_rate <= FASTEST_HZ:
         raise FileError(
             f"a signal of {signal.sample_rate:g} Hz is none, so nothing was written.", where=str(path),
@@ -66,7 +67,7 @@ def export_signal(signal: Signal, form: Format, path: Path, options: ExportOptio
     dropped = form.write(path, signal, options)
     told = ImportOptions(rate_hz=rendered_rate(signal, options.range_hz), seed=signal.seed)
     loss = loss_between(signal, form.read(path, told), dropped)
-    write_sidecar(path, form.word, signal, options if form.scaled else None, loss.to_json())
+    write_sidecar(path, form.word, signal, options if form.scaled else None, loss.to_json(), blend)
     return Exported(path, form, options, loss)
 
 

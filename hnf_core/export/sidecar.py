@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +20,26 @@ def sidecar_of(path: Path) -> Path:
     return path.with_name(path.name + ".json")
 
 
-def write_sidecar(path: Path, word: str, signal: Signal, options: ExportOptions | None, loss: dict[str, Any]) -> None:
+@dataclass(frozen=True)
+class Maker:
+    """What an exported file was made of: a stroke, and the .blend it is in; "" where that is not told."""
+
+    stroke: str
+    blend: str
+
+
+def write_sidecar(
+    path: Path, word: str, signal: Signal, options: ExportOptions | None, loss: dict[str, Any], blend: str = ""
+) -> None:
     """signal: what was exported to path, as the format called word. options: as for origin_record. loss: the report.
-    Raises FileError."""
+    blend: name of the .blend that the signal's stroke is in. Raises FileError."""
     record = {
         "schema": SCHEMA,
         "file": path.name,
         "hash": content_hash(path.read_bytes()),
         "format": word,
         "software": EDITOR,
+        **({"blend": blend} if blend else {}),
         "duration_s": signal.duration_s,
         **{name: value for name, value in origin_record(signal, options).items() if name != "schema"},
         "loss": loss,
@@ -43,4 +55,13 @@ def origin_beside(path: Path) -> tuple[int, dict[str, str]] | None:
             return None
         return int(record["seed"]), {str(name): str(value) for name, value in record["provenance"].items()}
     except (FileError, OSError, KeyError, TypeError, ValueError, AttributeError):
+        return None
+
+
+def maker_beside(path: Path) -> Maker | None:
+    """Who made path, as its sidecar says; None where it names no stroke, or there is none."""
+    try:
+        record = read_json(sidecar_of(path))
+        return Maker(str(record["provenance"]["stroke"]), str(record.get("blend", "")))
+    except (FileError, KeyError, TypeError):
         return None

@@ -137,6 +137,25 @@ def test_all_leaves_out_the_muted_and_refuses_the_stale(folder) -> None:
     assert len(PREVIEW.exported) == 1
 
 
+def test_no_stroke_s_file_takes_the_place_of_another_s(folder, tmp_path) -> None:
+    """Whose name makes the same file name, or who has the same name in another .blend; one's own is replaced."""
+    twin = stroke().copy()
+    twin.name, stroke().name = "along 1", "Along-1"  # in that order: stroke() goes by the name
+    bpy.context.scene.collection.objects.link(twin)
+    bpy.context.view_layer.update()
+    for _ in range(2):
+        assert bpy.ops.hnf.export(all=True, format="npz") == {"FINISHED"}
+        assert {path.name for path in folder.glob("*.npz")} == {"along-1.npz", "along-1-2.npz"}
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "Kitchen.blend"))
+    before = (folder / "along-1.npz").read_bytes()
+    renamed = bpy.data.objects["Along-1"]
+    bpy.context.view_layer.objects.active, renamed.hnf_stroke.seed = renamed, 12
+    assert bpy.ops.hnf.export(format="npz") == {"FINISHED"}
+    (sentence,) = PREVIEW.exported
+    assert sentence.startswith("along-1-kitchen.npz: ")
+    assert (folder / "along-1.npz").read_bytes() == before
+
+
 def test_nothing_is_told_of_another_file(folder) -> None:
     assert not bpy.ops.hnf.export_copy.poll()
     bpy.ops.hnf.export(format="haptic")

@@ -59,9 +59,11 @@ def test_tokens_survive_saving_and_a_second_run_does_nothing(tmp_path) -> None:
     plate = ridge_plate()
     plate.data.materials.append(bpy.data.materials.new("bare"))
     line_stroke("Along")
+    line_stroke("along", force=0.7)
     scene, out = save_scene(tmp_path / "scene.blend"), tmp_path / "out"
     code, first = touch(scene, out)
     assert code == 0
+    assert {stroke["wav"] for stroke in first["strokes"]} == {"along.wav", "along-2.wav"}  # none in another's place
     assert first["counts"]["renders"] >= 2
     assert first["counts"]["tokens"] >= 1
     bpy.ops.wm.open_mainfile(filepath=str(out / first["baked_blend"]))
@@ -74,7 +76,7 @@ def test_tokens_survive_saving_and_a_second_run_does_nothing(tmp_path) -> None:
     code, second = touch(scene, out)
     assert code == 0
     assert second["counts"] == {"renders": 0, "rays": 0, "network_calls": 0, "tokens": 0, "diffusion_calls": 0}
-    assert [stroke["fresh"] for stroke in second["strokes"]] == [True]
+    assert [stroke["fresh"] for stroke in second["strokes"]] == [True, True]
     assert {path.name: path.stat().st_mtime_ns for path in out.glob("*.wav")} == written
 
 
