@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from ..action.action import ACTION_RATE_HZ
 from ..errors import UsageError
-from ..material.mechanics import PROBES, Mechanics
-from ..material.token import TOKEN_DIM
+from ..material.mechanics import PROBES, Mechanics, beyond_limits
+from ..material.token import LARGEST_VALUE, TOKEN_DIM
 from .carriers import ARC_PER_OCTAVE, MODEL_RATE_HZ
 from .field import Field
 from .linear_contact import BAND_END_HZ
@@ -58,8 +58,8 @@ class LiveSynthesis:
     """Materials under a hand.
 
     tokens: (M, TOKEN_DIM), mechanics: (M,) of the same materials. The same states and seed give the same bytes. Before
-    the first state the hand is in the air. Memory does not grow. Raises UsageError where these do not fit together, and
-    for a field of the published form, whose carriers lag by themselves.
+    the first state the hand is in the air. Memory does not grow. Raises UsageError where these do not fit together or
+    leave stroke.LIMITS, and for a field of the published form, whose carriers lag by themselves.
     """
 
     rate_hz = MODEL_RATE_HZ
@@ -76,6 +76,13 @@ class LiveSynthesis:
         tokens = np.asarray(tokens)
         if tokens.ndim != 2 or tokens.shape[1] != TOKEN_DIM or not 0 < len(tokens) == len(mechanics):
             raise UsageError(f"{len(mechanics)} mechanics and tokens of shape {tokens.shape} are no materials.")
+        problem = next(filter(None, map(beyond_limits, mechanics)), "")
+        if problem or not (np.abs(tokens) <= LARGEST_VALUE).all():
+            raise UsageError(
+                problem or f"a token holds NaN or leaves ±{LARGEST_VALUE:g}.",
+                where="live touch",
+                remedy="Choose another material, or describe this one again.",
+            )
         if probe not in PROBES:
             raise UsageError(f"there is no probe '{probe}'.", remedy=f"Known: {', '.join(PROBES)}.")
         carriers = field.config.carriers

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ..action.action import Action
 from ..errors import StrokeError
-from ..material.mechanics import Mechanics
-from ..material.token import TOKEN_DIM
+from ..material.mechanics import MECHANICS_LIMITS, Mechanics
+from ..material.token import LARGEST_VALUE, TOKEN_DIM
 from ..signal import Signal
 
 if TYPE_CHECKING:
@@ -24,10 +24,8 @@ LIMITS = {
     "force [N]": (0.0, 1e7),
     "position [m]": (-1e7, 1e7),
     "direction": (-1.001, 1.001),
-    "token": (-100.0, 100.0),
-    "stiffness [N/m]": (1e-6, 1e12),
-    "damping ratio": (0.0, 1e3),
-    "friction": (0.0, 1e3),
+    "token": (-LARGEST_VALUE, LARGEST_VALUE),
+    **MECHANICS_LIMITS,
     "profile height [m]": (-1e6, 1e6),
     "profile origin [m]": (-1e7, 1e7),
     "profile step [m]": (1e-9, 1e6),

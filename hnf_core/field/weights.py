@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from ..errors import WeightsError
 from ..files import write_bytes
 from ..material.material import Appearance, LibraryMaterial
-from ..material.mechanics import Mechanics
-from ..material.token import ENCODER_ID, TOKEN_DIM
+from ..material.mechanics import Mechanics, beyond_limits
+from ..material.token import ENCODER_ID, LARGEST_VALUE, TOKEN_DIM
 from ..tensor_file import packed
 from ..weights_file import Kind, WeightsFile, parse_weights, read_weights
 from .carriers import Carriers
@@ -125,9 +125,12 @@ def own_material(field: Field, where: str) -> LibraryMaterial:
     try:
         record = json.loads(field.metadata["material"])
         token = np.asarray(record["token"], dtype=np.float32)
-        if token.shape != (TOKEN_DIM,) or not np.isfinite(token).all():
+        if token.shape != (TOKEN_DIM,) or not (np.abs(token) <= LARGEST_VALUE).all():
             raise ValueError("its token is damaged")
         mechanics = Mechanics(**record.get("mechanics", {}))
+        problem = beyond_limits(mechanics)
+        if problem:
+            raise ValueError(problem.rstrip("."))
         return LibraryMaterial(str(record["name"]), "", (), Appearance(), mechanics, token)
     except (KeyError, TypeError, ValueError) as error:
         raise WeightsError(

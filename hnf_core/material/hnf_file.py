@@ -8,7 +8,6 @@ a field was trained for the material, its weights lie in it whole: "field" U8, a
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -21,9 +20,9 @@ from ..files import write_bytes
 from .fuse import fuse
 from .library import load_library
 from .material import Appearance, LibraryMaterial
-from .mechanics import UNKNOWN, Mechanics
+from .mechanics import UNKNOWN, Mechanics, beyond_limits
 from .prior import rank
-from .token import ENCODER_ID, ENCODER_NAMES, TOKEN_DIM, Token
+from .token import ENCODER_ID, ENCODER_NAMES, LARGEST_VALUE, TOKEN_DIM, Token
 
 SUFFIX = ".hnf"
 FORMAT = "hnf-material-1"
@@ -46,7 +45,7 @@ class MaterialFile:
     encoder: makes of E that the token came from (token.joined_encoders). field: weights of a field that was trained for
     this material alone (field.learned reads them), empty = there is none and the shared one knows it by its token.
     Two are equal when their bytes are. Raises MaterialError where a value cannot be: an empty name, a token that is not
-    finite, a negative stiffness.
+    finite, a stiffness of zero.
     """
 
     name: str
@@ -65,11 +64,13 @@ class MaterialFile:
         values, known = self.token.values, self.token.known
         if values.shape != (TOKEN_DIM,) or known.shape != (TOKEN_DIM,):
             raise MaterialError(f"a token has {TOKEN_DIM} values and flags, not {values.shape} and {known.shape}.")
-        if values.dtype != np.float32 or known.dtype != np.bool_ or not np.isfinite(values).all():
-            raise MaterialError("a token's values must be finite float32, its flags true or false.")
-        for name, value in asdict(self.mechanics).items():
-            if value is not None and not (math.isfinite(value) and value >= 0.0):
-                raise MaterialError(f"{name} must be a number from 0 up, not {value}.")
+        if values.dtype != np.float32 or known.dtype != np.bool_ or not (np.abs(values) <= LARGEST_VALUE).all():
+            raise MaterialError(
+                f"a token's values must be finite float32, none beyond ±{LARGEST_VALUE:g}, its flags true or false."
+            )
+        problem = beyond_limits(self.mechanics)
+        if problem:
+            raise MaterialError(problem)
         for name, value in asdict(self.appearance).items():
             for channel in () if value is None else np.ravel(value):
                 if not 0.0 <= channel <= 1.0:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 
 @dataclass(frozen=True)
@@ -19,6 +19,16 @@ class Mechanics:
 
 
 UNKNOWN = Mechanics()
+MECHANICS_LIMITS = {"stiffness [N/m]": (1e-6, 1e12), "damping ratio": (0.0, 1e3), "friction": (0.0, 1e3)}
+"""Of Mechanics, in its order: far outside any material, and well inside what the contact model can compute."""
+
+
+def beyond_limits(mechanics: Mechanics) -> str:
+    """The property that is no number within MECHANICS_LIMITS, in words; "" where there is none."""
+    for (name, (low, high)), value in zip(MECHANICS_LIMITS.items(), astuple(mechanics), strict=True):
+        if value is not None and not low <= value <= high:
+            return f"{name} must be a number from {low:g} to {high:g}, not {value:g}."
+    return ""
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,8 @@ TOKEN_NAMES = (
     + SHAPE_FEATURES
 )
 TOKEN_DIM = len(TOKEN_NAMES)
+LARGEST_VALUE = 100.0
+"""What no value of a token exceeds, up or down: far outside all that E writes."""
 SMOOTH_LEVEL = -9.0
 """Level of a band with nothing in it (1 nm RMS): the floor, so that log10 stays finite."""
 ENCODER_ID = "band-descriptor-1"

@@ -26,7 +26,7 @@ from hnf_core.material.hnf_file import (
 )
 from hnf_core.material.library import find, load_library
 from hnf_core.material.material import Appearance
-from hnf_core.material.mechanics import Mechanics
+from hnf_core.material.mechanics import MECHANICS_LIMITS, Mechanics
 from hnf_core.material.token import ALEXNET_ID, ENCODER_ID, TOKEN_DIM, Token, band_slice
 
 OAK = from_library(find("oak-wood"), "CC0-1.0")
@@ -51,7 +51,7 @@ materials = st.builds(
         st.lists(finite, min_size=TOKEN_DIM, max_size=TOKEN_DIM),
         st.lists(st.booleans(), min_size=TOKEN_DIM, max_size=TOKEN_DIM),
     ),
-    mechanics=st.builds(Mechanics, *[st.none() | st.floats(0.0, 1e6)] * 3),
+    mechanics=st.builds(Mechanics, *(st.none() | st.floats(*limits) for limits in MECHANICS_LIMITS.values())),
     category=st.sampled_from(["", "wood", "metal"]),
     words=st.lists(st.text(max_size=8), max_size=4).map(tuple),
     appearance=st.builds(Appearance, st.none() | st.tuples(*[st.floats(0.0, 1.0)] * 3), share, share, share, share),
@@ -164,6 +164,8 @@ BROKEN = {
     "offsets before the start": lambda header: header["token"].update(data_offsets=[-4, 4 * TOKEN_DIM - 4]),
     "flags that are numbers": lambda header: header["known"].update(data_offsets=[0, TOKEN_DIM]),
     "negative friction": lambda header: header["__metadata__"].update(mechanics='{"friction": -1.0}'),
+    "no stiffness": lambda header: header["__metadata__"].update(mechanics='{"stiffness_n_m": 0.0}'),
+    "huge damping": lambda header: header["__metadata__"].update(mechanics='{"damping_ratio": 1e200}'),
     "infinite stiffness": lambda header: header["__metadata__"].update(mechanics='{"stiffness_n_m": Infinity}'),
     "a huge whole number": lambda header: header["__metadata__"].update(mechanics=json.dumps({"friction": 10**400})),
     "an unknown property": lambda header: header["__metadata__"].update(mechanics='{"colour": 1.0}'),
@@ -195,9 +197,10 @@ def test_whatever_byte_is_damaged_it_is_read_or_refused(place: int, value: int) 
         assert parse_hnf(bytes(data), "damaged.hnf").token.values.shape == (TOKEN_DIM,)
 
 
-def test_a_token_that_is_not_finite_is_refused() -> None:
+@pytest.mark.parametrize("value", [np.nan, np.inf, -101.0])
+def test_a_token_that_is_not_finite_is_refused(value: float) -> None:
     values = OAK.token.values.copy()
-    values[3] = np.nan
+    values[3] = value
     with pytest.raises(MaterialError, match="finite"):
         replace(OAK, token=Token(values, OAK.token.known))
     data = OAK.to_bytes()

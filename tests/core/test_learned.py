@@ -25,7 +25,7 @@ from hnf_core.field.synthesis import synthesise
 from hnf_core.field.weights import field_bytes, load_field, own_material, parse_field
 from hnf_core.material.hnf_file import parse_hnf
 from hnf_core.material.library import find
-from hnf_core.material.mechanics import UNKNOWN
+from hnf_core.material.mechanics import UNKNOWN, Mechanics
 from hnf_core.material.token import TOKEN_DIM
 
 LICENCE = "for a test"
@@ -33,11 +33,11 @@ ACTION = primitive_action(DEFAULT_PRIMITIVE, seed=0)
 STATES = len(ACTION.speed)
 
 
-def trained(name: str, seed: int, token=None) -> Field:
+def trained(name: str, seed: int, token=None, mechanics=UNKNOWN) -> Field:
     """Small, and as own_material.train_own leaves it."""
     config = FieldConfig(hidden=8, layers=1, states=1, carriers=Carriers(arc_octaves=0), physics=False)
     values = [0.0] * TOKEN_DIM if token is None else [float(value) for value in token]
-    told = json.dumps({"name": name, "token": values, "mechanics": asdict(UNKNOWN)})
+    told = json.dumps({"name": name, "token": values, "mechanics": asdict(mechanics)})
     made = Field(config, initial_parameters(config, seed), metadata={"material": told, "licence": LICENCE})
     return parse_field(field_bytes(made), "test")
 
@@ -83,6 +83,8 @@ def test_damaged_weights_are_refused_and_said() -> None:
         field_of(replace(material, field=material.field[:-9]))
     with pytest.raises(WeightsError, match="one material"):
         learned_material(field_bytes(load_field()), "test")
+    with pytest.raises(WeightsError, match="stiffness"):
+        learned_material(field_bytes(trained("Ghost", 1, mechanics=Mechanics(0.0))), "test")
 
 
 def test_without_a_field_of_its_own_a_stroke_is_what_it_was() -> None:

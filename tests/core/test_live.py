@@ -184,6 +184,11 @@ def test_what_does_not_fit_is_refused():
     field, wood = load_field(), find("oak-wood")
     with pytest.raises(UsageError, match="no materials"):
         LiveSynthesis(field, wood.token[None], (), seed=0)
+    for wrong in (Mechanics(0.0), Mechanics(damping_ratio=1e200), Mechanics(friction=float("nan"))):
+        with pytest.raises(UsageError, match="must be a number from"):
+            LiveSynthesis(field, wood.token[None], (wrong,), seed=0)
+    with pytest.raises(UsageError, match="token"):
+        LiveSynthesis(field, np.full((1, TOKEN_DIM), np.nan, np.float32), (wood.mechanics,), seed=0)
     with pytest.raises(UsageError, match="probe"):
         LiveSynthesis(field, wood.token[None], (wood.mechanics,), seed=0, probe="elbow")
     published = FieldConfig.published(hidden=8, layers=1)
