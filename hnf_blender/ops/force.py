@@ -116,15 +116,16 @@ class HNF_OT_force_graph(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
 
     def execute(self, context: Any) -> set[str]:
         from ..bridge.force_keys import ensure_force_keys
-        from ..tool.graph import show_curve
+        from ..tool.graph import graph_area, show_curve
 
         stroke = active_stroke(context)
         try:
+            area = graph_area(context)
             ensure_force_keys(stroke, context.scene, metres_of(context.scene))
         except HnfError as error:
             self.report({"ERROR"}, one_line(error))
             return {"CANCELLED"}
-        show_curve(context, stroke, FORCE)
+        show_curve(context, stroke, FORCE, area)
         return {"FINISHED"}
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
+from hnf_core.errors import HnfError
+
 from .. import compat
 
 SHARE = 0.38
@@ -17,19 +19,17 @@ SETTLED_S = 0.1
 """A new area has no size before the next redraw; only then can its curve be fitted in."""
 
 
-def show_curve(context: Any, obj: Any, data_path: str) -> None:
-    """Show this F-curve of the active object alone, whole, in a Graph Editor of the window: the one there is, or one
-    split off the largest 3-D view."""
+def show_curve(context: Any, obj: Any, data_path: str, area: Any) -> None:
+    """Show this F-curve of the active object alone, whole, in a Graph Editor of context's window: see graph_area()."""
     import bpy
 
     window = context.window
     for fcurve in compat.fcurves_of(obj):
         fcurve.hide, fcurve.select = fcurve.data_path != data_path, fcurve.data_path == data_path
     layer = context.view_layer
-    if layer.objects.get(obj.name) == obj:
+    if place_in(layer.objects, obj) >= 0:
         obj.select_set(True, view_layer=layer)
         layer.objects.active = obj
-    area = _graph_area(context, window)
     space = area.spaces.active
     space.dopesheet.show_only_selected = True
     space.dopesheet.show_hidden = False
@@ -39,19 +39,31 @@ def show_curve(context: Any, obj: Any, data_path: str) -> None:
     bpy.app.timers.register(fit, first_interval=SETTLED_S)
 
 
-def _graph_area(context: Any, window: Any) -> Any:
+def graph_area(context: Any) -> Any:
+    """The Graph Editor of context's window: the one there is, or one split off the largest 3-D view. Raises HnfError
+    where there is none and none can be made; then every editor stays what it is."""
     import bpy
 
+    window = context.window
     areas = window.screen.areas
     for area in areas:
         if area.ui_type == "FCURVES":
             return area
+    if window.screen.show_fullscreen:  # Blender splits no area that fills its window
+        raise HnfError(
+            "the 3-D view fills the window, so there is no room for a Graph Editor.",
+            remedy="Press Ctrl Space with the mouse over it (or Back to Previous at the top), then this button again.",
+        )
     views = [area for area in areas if area.type == "VIEW_3D"] or list(areas)
     largest = max(views, key=lambda area: area.width * area.height)
     before = {area.as_pointer() for area in areas}
     with context.temp_override(window=window, area=largest):
-        bpy.ops.screen.area_split(direction="HORIZONTAL", factor=SHARE)
+        split = bpy.ops.screen.area_split(direction="HORIZONTAL", factor=SHARE)
     added = [area for area in window.screen.areas if area.as_pointer() not in before]
+    if "FINISHED" not in split or not added:
+        raise HnfError(
+            "the 3-D view is too small to split a Graph Editor off it.", remedy="Open a Graph Editor, then press again."
+        )
     area = min([*added, largest], key=lambda area: area.y)
     area.ui_type = "FCURVES"
     area.spaces.active.show_region_ui = False  # small as it is, the curve needs the room

@@ -256,6 +256,24 @@ def test_the_force_graph_needs_a_window():
         bpy.ops.hnf.force_graph()
 
 
+def test_a_view_that_fills_the_window_stays_a_view_and_nothing_is_keyed():
+    from types import SimpleNamespace
+
+    from hnf_blender.ops.force import HNF_OT_force_graph
+
+    add_plane()
+    stroke, told = add_stroke(LINE), []
+    select(stroke)
+    view = SimpleNamespace(ui_type="VIEW_3D", type="VIEW_3D", width=1600, height=900)
+    window = SimpleNamespace(screen=SimpleNamespace(areas=[view], show_fullscreen=True))
+    context = SimpleNamespace(window=window, scene=bpy.context.scene, view_layer=bpy.context.view_layer)
+    operator = SimpleNamespace(report=lambda kind, words: told.append(words))
+    assert HNF_OT_force_graph.execute(operator, context) == {"CANCELLED"}
+    assert "Ctrl Space" in told[0]
+    assert view.ui_type == "VIEW_3D"
+    assert not keyed_fcurves(stroke)
+
+
 def test_a_force_that_is_not_keyed_gets_two_keys_for_the_graph():
     from hnf_blender.bridge.force_keys import ensure_force_keys
 

@@ -111,6 +111,24 @@ def check_it_is_played(stage):
     stage.expect("it stops", not player.is_playing)
 
 
+def check_a_view_that_fills_the_window_stays_one(stage):
+    with stage.over():
+        bpy.ops.screen.screen_full_area()
+    yield 0.5
+    with stage.over():
+        try:
+            bpy.ops.hnf.force_graph("INVOKE_DEFAULT", True)
+            said = ""
+        except RuntimeError as error:
+            said = str(error)
+    stage.expect("it says what to do", "Ctrl Space" in said, said)
+    stage.expect("the view is still one", {area.type for area in stage.areas()} >= {"VIEW_3D"})
+    stage.expect("there is no Graph Editor", all(area.type != "GRAPH_EDITOR" for area in stage.areas()))
+    with stage.over():
+        bpy.ops.screen.back_to_previous()
+    yield 0.5
+
+
 def check_the_graph_editor_changes_the_force(stage):
     with stage.over():
         bpy.ops.hnf.force_graph("INVOKE_DEFAULT", True)
