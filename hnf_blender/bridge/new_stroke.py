@@ -66,7 +66,7 @@ def into_collection(stroke: Any, scene: Any) -> None:
     for collection in tuple(stroke.users_collection):
         if collection != own:
             collection.objects.unlink(stroke)
-    if own.objects.get(stroke.name) != stroke:
+    if own not in stroke.users_collection:
         own.objects.link(stroke)
 
 

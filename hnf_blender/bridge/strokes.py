@@ -30,6 +30,7 @@ from hnf_core.files import content_hash
 from hnf_core.scene.mesh import TriangleMesh
 from hnf_core.units import mm_to_m, seconds_to_frame
 
+from ..props.scene import place_in
 from ..props.stroke import FORCE_MAX_N
 from .channels import Channel, read_channel, sample_channels
 from .meshes import Surface, evaluated_mesh, surface_frame, surface_mesh
@@ -186,7 +187,7 @@ def _surface_object(
         points = arc.point_at(np.linspace(0.0, arc.length, 64))
         return nearest_surface(points, scene, depsgraph, surfaces, metres_per_unit, where=where, ignore=obj)
     remedy = f"Show it in the viewport and in renders, or choose another surface for {where}."
-    if scene.objects.get(chosen.name) != chosen:
+    if place_in(scene.objects, chosen) < 0:
         raise SceneError(
             f"it is not in this scene, and {where} touches it.", where=f"object '{chosen.name}'", remedy=remedy
         )

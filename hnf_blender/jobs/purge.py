@@ -10,6 +10,7 @@ from hnf_core.errors import HnfError
 
 from ..bridge.splat_cloud import cloud_of, remove_point_tokens
 from ..bridge.storage import SCHEMA_PROPERTY, remove_tokens
+from ..props.scene import place_in
 from ..state.guard import own_changes
 from ..state.session import STATE, Freshness, StrokeStatus
 from ..touch.jobs import Session
@@ -67,7 +68,7 @@ def _clouds_of(mesh: Any) -> list[Any]:
 
 def _is_outgrown(session: Session, obj: Any) -> bool:
     """Does the bake on obj fit nothing any more? What other scenes hold is left to them."""
-    if session.scene.objects.get(obj.name) != obj:
+    if place_in(session.scene.objects, obj) < 0:
         return False
     if not obj.hnf_stroke.is_stroke:
         return True

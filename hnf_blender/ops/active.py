@@ -7,6 +7,7 @@ from typing import Any
 from hnf_core.errors import HnfError
 
 from ..prefs import settings
+from ..props.scene import place_in
 
 AS_SET = "AS_SET"
 """Value of an operator's probe: the one of the preferences."""
@@ -18,10 +19,10 @@ def make_active(context: Any, stroke: Any) -> None:
     layer.update()  # a collection made a moment ago is not in it yet
     for other in tuple(layer.objects.selected):
         other.select_set(False, view_layer=layer)
-    if layer.objects.get(stroke.name) == stroke:
+    if place_in(layer.objects, stroke) >= 0:
         stroke.select_set(True, view_layer=layer)
         layer.objects.active = stroke
-    context.scene.hnf.stroke_index = max(0, context.scene.objects.find(stroke.name))
+    context.scene.hnf.stroke_index = max(0, place_in(context.scene.objects, stroke))
 
 
 def metres_of(scene: Any) -> float:

@@ -7,10 +7,10 @@ from typing import Any
 import bpy
 
 from hnf_core.action.primitives import PRIMITIVES, Primitive
-from hnf_core.errors import HnfError
+from hnf_core.errors import HnfError, SceneError
 
 from ..compat import own_action
-from ..props.scene import active_stroke, strokes_of
+from ..props.scene import active_stroke, place_in, stroke_named, strokes_of
 from ..translations import tr
 from .active import AS_SET, make_active, metres_of, one_line, probe_of
 from .draw import PROBE_ITEMS
@@ -169,7 +169,7 @@ class HNF_OT_stroke_from_curve(bpy.types.Operator):  # type: ignore[misc]  # noq
             return {"CANCELLED"}
         active = context.view_layer.objects.active
         context.view_layer.objects.active = active if active in made else made[0]
-        context.scene.hnf.stroke_index = max(0, context.scene.objects.find(context.view_layer.objects.active.name))
+        context.scene.hnf.stroke_index = max(0, place_in(context.scene.objects, context.view_layer.objects.active))
         self.report({"INFO"}, tr("Strokes: {names}").format(names=", ".join(obj.name for obj in made)))
         return {"FINISHED"}
 
@@ -190,12 +190,16 @@ class OfStroke:
         return True
 
     def execute(self, context: Any) -> set[str]:
-        named = context.scene.objects.get(self.name) if self.name else None  # type: ignore[attr-defined]
-        stroke = named if named is not None and named.hnf_stroke.is_stroke else active_stroke(context)
+        named = stroke_named(context.scene, self.name) if self.name else None  # type: ignore[attr-defined]
+        stroke = active_stroke(context) if named is None else named
         if stroke is None:
             self.report({"ERROR"}, NOT_SELECTED)  # type: ignore[attr-defined]
             return {"CANCELLED"}
-        self.report({"INFO"}, self.work(context, stroke))  # type: ignore[attr-defined]
+        try:
+            self.report({"INFO"}, self.work(context, stroke))  # type: ignore[attr-defined]
+        except HnfError as error:
+            self.report({"ERROR"}, one_line(error))  # type: ignore[attr-defined]
+            return {"CANCELLED"}
         return {"FINISHED"}
 
 
@@ -221,9 +225,15 @@ class HNF_OT_stroke_delete(OfStrokeObject, bpy.types.Operator):  # type: ignore[
     def work(self, context: Any, stroke: Any) -> str:
         scene = context.scene
         name, curve = stroke.name, stroke.data
+        if stroke.library is not None:
+            raise SceneError(
+                f"it is linked from {stroke.library.name}.",
+                where=f"stroke '{name}'",
+                remedy="Delete it in that file, or unlink its collection in the Outliner. Nothing was deleted.",
+            )
         strokes = strokes_of(scene)
         at = strokes.index(stroke)
-        rest = [other.name for other in strokes if other != stroke]
+        rest = [other for other in strokes if other != stroke]
         animation = stroke.animation_data
         action = None if animation is None else animation.action
         bpy.data.objects.remove(stroke)
@@ -231,7 +241,7 @@ class HNF_OT_stroke_delete(OfStrokeObject, bpy.types.Operator):  # type: ignore[
             if data is not None and data.users == 0:
                 kept.remove(data)
         if rest:
-            scene.hnf.stroke_index = max(0, scene.objects.find(rest[min(at, len(rest) - 1)]))
+            scene.hnf.stroke_index = max(0, place_in(scene.objects, rest[min(at, len(rest) - 1)]))
         return tr("Deleted {name}").format(name=name)
 
 
@@ -277,11 +287,11 @@ class HNF_OT_stroke_select(bpy.types.Operator):  # type: ignore[misc]  # noqa: N
         return self.execute(context)
 
     def execute(self, context: Any) -> set[str]:
-        stroke = context.scene.objects.get(self.name)
-        if stroke is None or not stroke.hnf_stroke.is_stroke:
+        stroke = stroke_named(context.scene, self.name)
+        if stroke is None:
             self.report({"ERROR"}, tr("There is no stroke '{name}' in this scene").format(name=self.name))
             return {"CANCELLED"}
-        if context.view_layer.objects.get(stroke.name) is None or not stroke.visible_get():
+        if place_in(context.view_layer.objects, stroke) < 0 or not stroke.visible_get():
             self.report({"WARNING"}, tr("'{name}' is hidden in this view layer").format(name=stroke.name))
         if self.extend:
             others = [obj for obj in context.view_layer.objects.selected if obj != stroke]

@@ -150,12 +150,27 @@ def strokes_of(scene: Any) -> list[Any]:
     return [obj for obj in scene.objects if obj.hnf_stroke.is_stroke]
 
 
+def stroke_named(scene: Any, name: str) -> Any:
+    """The scene's stroke of this full name, which for a linked one names its file too; else of this name; or None."""
+    strokes = strokes_of(scene)
+    full = next((obj for obj in strokes if obj.name_full == name), None)
+    return full if full is not None else next((obj for obj in strokes if obj.name == name), None)
+
+
+def place_in(objects: Any, obj: Any) -> int:
+    """Where obj is in a collection of objects; -1: nowhere. Its name alone may find another one's, linked or local."""
+    at = int(objects.find(obj.name))
+    if at < 0 or objects[at] == obj:
+        return at
+    return next((index for index, each in enumerate(objects) if each == obj), -1)
+
+
 def active_stroke(context: Any) -> Any:
     """The stroke that panels and operators speak of, or None: the active object where it is one, else the one picked
     in the list, else the only one there is."""
     scene = context.scene
     active = context.view_layer.objects.active
-    if active is not None and active.hnf_stroke.is_stroke and scene.objects.get(active.name) == active:
+    if active is not None and active.hnf_stroke.is_stroke:
         return active
     index = scene.hnf.stroke_index
     if index < len(scene.objects) and scene.objects[index].hnf_stroke.is_stroke:

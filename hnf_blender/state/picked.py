@@ -14,7 +14,9 @@ def hold(scene: Any) -> bool:
     is now. True when it moved."""
     index, name = int(scene.hnf.stroke_index), _stroke_at(scene, int(scene.hnf.stroke_index))
     before, was = _picked.get(scene.name, (index, name))
-    moved = scene.objects.find(was) if was and was != name and before == index else -1
+    moved = -1
+    if was and was != name and before == index:
+        moved = next((at for at, obj in enumerate(scene.objects) if obj.name_full == was), -1)
     if moved >= 0:
         scene.hnf.stroke_index, index, name = moved, moved, was
     _picked[scene.name] = index, name
@@ -28,4 +30,4 @@ def forget() -> None:
 
 def _stroke_at(scene: Any, index: int) -> str:
     obj = scene.objects[index] if index < len(scene.objects) else None
-    return str(obj.name) if obj is not None and obj.hnf_stroke.is_stroke else ""
+    return str(obj.name_full) if obj is not None and obj.hnf_stroke.is_stroke else ""

@@ -8,6 +8,7 @@ from typing import Any
 from hnf_core.errors import HnfError
 
 from .. import compat
+from ..props.scene import place_in
 
 SHARE = 0.38
 """Of the 3-D view's height, where an area must be split off for it."""

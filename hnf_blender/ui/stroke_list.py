@@ -59,11 +59,11 @@ class HNF_UL_strokes(bpy.types.UIList):  # type: ignore[misc]  # noqa: N801
             emboss=False,
             translate=False,
         )
-        select.name = obj.name
+        select.name = obj.name_full
         switches = row.row(align=True)
         switches.alignment = "RIGHT"
         solo = "SOLO_ON" if is_solo(context.scene, obj) else "SOLO_OFF"
-        switches.operator("hnf.stroke_solo", text="", icon=solo, emboss=False).name = obj.name
+        switches.operator("hnf.stroke_solo", text="", icon=solo, emboss=False).name = obj.name_full
         mute = "MUTE_IPO_ON" if obj.hnf_stroke.mute else "MUTE_IPO_OFF"
         switches.prop(obj.hnf_stroke, "mute", text="", icon=mute, emboss=False)
 

@@ -178,6 +178,25 @@ def test_select_and_add_to_the_selection():
         bpy.ops.hnf.stroke_select(name="Plane")
 
 
+def test_a_linked_stroke_is_not_mistaken_for_the_one_of_its_name(tmp_path):
+    linked = add_stroke(LINE, name="One")
+    library = str(tmp_path / "library.blend")
+    bpy.data.libraries.write(library, {linked})
+    with bpy.data.libraries.load(library, link=True) as (_, wanted):
+        wanted.objects = ["One"]
+    own, linked = linked, wanted.objects[0]
+    bpy.context.scene.collection.objects.link(linked)
+    for stroke in (linked, own):
+        assert bpy.ops.hnf.stroke_select(name=stroke.name_full) == {"FINISHED"}
+        assert active_stroke(bpy.context) == stroke == bpy.context.scene.objects[bpy.context.scene.hnf.stroke_index]
+    select(linked)
+    with pytest.raises(RuntimeError, match=r"'One': it is linked from library\.blend"):
+        bpy.ops.hnf.stroke_delete()
+    assert {obj.name_full for obj in stroke_objects(bpy.context.scene)} == {"One", "One [library.blend]"}
+    assert bpy.ops.hnf.stroke_delete(name="One") == {"FINISHED"}
+    assert stroke_objects(bpy.context.scene) == [linked]
+
+
 def test_solo_and_back():
     add_plane()
     strokes = [add_stroke(LINE, name=name) for name in ("A", "B", "C")]
