@@ -155,8 +155,10 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
             raise
 
     def _step(self, context: Any, event: Any) -> set[str]:
+        from ..tool.pen import gives_up
+
         pen = self._pen
-        if event.type in {"ESC", "RIGHTMOUSE"} and event.value == "PRESS":
+        if gives_up(context, event, pressed=pen.is_down):
             pen.close(context)
             return {"CANCELLED"}
         if not pen.is_down:

@@ -97,14 +97,14 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
 
     def _step(self, context: Any, event: Any) -> set[str]:
         from ..actuator.link import LINK
-        from ..tool.pen import region_under
+        from ..tool.pen import gives_up, region_under
 
         if not LINK.is_live:  # ended by its button, another file, or the device
             if LINK.problem:
                 self.report({"WARNING"}, LINK.problem)
             self._end(context)
             return {"FINISHED"}
-        if event.type in {"ESC", "RIGHTMOUSE"} and event.value == "PRESS":
+        if gives_up(context, event, pressed=self._region is not None):
             self._end(context)
             return {"FINISHED"}
         if event.type == "LEFTMOUSE" and event.value == "PRESS":

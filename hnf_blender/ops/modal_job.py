@@ -61,9 +61,11 @@ class ModalJob:
         return True
 
     def modal(self, context: Any, event: Any) -> set[str]:
+        from ..tool.pen import view_under
+
         if not current.is_running():  # cancelled from elsewhere
             return self.end(context, STATE.last_job)
-        if event.type == "ESC" and event.value == "PRESS":
+        if event.type == "ESC" and event.value == "PRESS" and view_under(context, event) is not None:
             current.cancel()
             return self.end(context, STATE.last_job)
         if event.type == "TIMER":
@@ -86,7 +88,7 @@ class ModalJob:
         """How far it is: status bar and panels."""
         job = STATE.job
         if job is not None:
-            context.workspace.status_text_set(f"{self.job_line(job)}.  {tr('Esc: cancel')}")
+            context.workspace.status_text_set(f"{self.job_line(job)}.  {tr('Esc over the 3-D view: cancel')}")
             redraw_tab()
 
     def take_down(self, context: Any) -> None:

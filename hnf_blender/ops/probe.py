@@ -63,10 +63,12 @@ class HNF_OT_probe(ModalJob, bpy.types.Operator):  # type: ignore[misc]  # noqa:
         return self._aim(context, event) if self._timer is None else super().modal(context, event)
 
     def _aim(self, context: Any, event: Any) -> set[str]:
-        """Wait for the click; the view can be turned meanwhile."""
-        if event.type in {"ESC", "RIGHTMOUSE"} and event.value == "PRESS":
+        """Wait for the click; the view can be turned meanwhile, and other editors used."""
+        from ..tool.pen import gives_up, region_under
+
+        if gives_up(context, event):
             return self.end(context, None)
-        if event.type != "LEFTMOUSE" or event.value != "PRESS":
+        if event.type != "LEFTMOUSE" or event.value != "PRESS" or region_under(context, event) is None:
             return {"PASS_THROUGH"}
         place = clicked_place(context, event)
         if place is None:

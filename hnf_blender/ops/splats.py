@@ -125,16 +125,18 @@ class HNF_OT_import_splats(_Waiting, bpy.types.Operator):  # type: ignore[misc] 
         return self._add(context, made)
 
     def modal(self, context: Any, event: Any) -> set[str]:
+        from ..tool.pen import view_under
+
         reading = self._reading
         if reading is None:
             return {"CANCELLED"}
-        if event.type == "ESC" and event.value == "PRESS":
+        if event.type == "ESC" and event.value == "PRESS" and view_under(context, event) is not None:
             self.cancel(context)
             return {"CANCELLED"}
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         if not reading.is_done:
-            said = tr("Reconstructing {file}: {percent} %.  Esc: cancel")
+            said = tr("Reconstructing {file}: {percent} %.  Esc over the 3-D view: cancel")
             text = said.format(file=self._path.name, percent=f"{100 * reading.share:.0f}")
             context.workspace.status_text_set(text)
             return {"PASS_THROUGH"}

@@ -220,6 +220,25 @@ def region_under(context: Any, event: Any) -> Any:
     return found
 
 
+def view_under(context: Any, event: Any) -> Any:
+    """The 3-D view under the mouse, with its bars, or None."""
+    for area in context.window.screen.areas if context.window is not None else ():
+        inside = area.x <= event.mouse_x < area.x + area.width and area.y <= event.mouse_y < area.y + area.height
+        if inside and area.type == "VIEW_3D":
+            return area
+    return None
+
+
+def gives_up(context: Any, event: Any, *, pressed: bool = False) -> bool:
+    """Does the event end an operator that waits for the pen: Esc over a 3-D view, or a right click into one? Other
+    editors keep theirs. pressed: the pen is down, then it counts wherever it is."""
+    if event.value != "PRESS":
+        return False
+    if event.type == "RIGHTMOUSE":
+        return pressed or region_under(context, event) is not None
+    return event.type == "ESC" and (pressed or view_under(context, event) is not None)
+
+
 def surface_under(context: Any, area: Any, region: Any, at: tuple[float, float]) -> Any:
     """What the pen meets at a place of a region of a 3-D view, in its pixels: a Hit, or None."""
     from bpy_extras import view3d_utils

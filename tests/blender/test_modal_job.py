@@ -14,8 +14,13 @@ from hnf_blender.ops.modal_job import ModalJob, no_job_runs
 from hnf_blender.state.session import STATE, LastJob
 from hnf_core.errors import HnfError
 
+VIEW, TEXT = (
+    SimpleNamespace(type=kind, x=x, y=0, width=80, height=100, regions=())
+    for kind, x in (("VIEW_3D", 0), ("TEXT_EDITOR", 80))
+)
+"""Two editors of a window, side by side."""
 ESC, TICK, MOVE = (
-    SimpleNamespace(type=kind, value=value)
+    SimpleNamespace(type=kind, value=value, mouse_x=40, mouse_y=50)
     for kind, value in (("ESC", "PRESS"), ("TIMER", "NOTHING"), ("MOUSEMOVE", ""))
 )
 
@@ -29,7 +34,8 @@ class Screen:
         scene, layer = bpy.context.scene, bpy.context.view_layer
         manager = SimpleNamespace(event_timer_add=self._add, event_timer_remove=self.timers.remove)
         self.context = SimpleNamespace(
-            scene=scene, view_layer=layer, window=None, window_manager=manager,
+            scene=scene, view_layer=layer, window_manager=manager,
+            window=SimpleNamespace(screen=SimpleNamespace(areas=[VIEW, TEXT])),
             workspace=SimpleNamespace(status_text_set=self._say),
         )  # fmt: skip
 
@@ -107,8 +113,11 @@ def test_a_job_that_runs_lets_events_pass_and_ends_by_itself(begun) -> None:
     assert no_job_runs(operator)
 
 
-def test_esc_ends_it_at_once(begun) -> None:
+def test_esc_over_the_view_ends_it_at_once_elsewhere_it_is_another_editors(begun) -> None:
     operator, screen, pid = begun
+    beside = SimpleNamespace(**vars(ESC) | {"mouse_x": 120})
+    assert operator.modal(screen.context, beside) == {"PASS_THROUGH"}
+    assert current.is_running()
     assert operator.modal(screen.context, ESC) == {"CANCELLED"}
     assert "cancelled" in operator.ended[0].message
     assert kept() == NOTHING
@@ -167,3 +176,19 @@ def test_in_line_the_end_is_told_as_in_a_window(lone_bake) -> None:
     operator, ended = Operator(), LastJob(True, "Done.", written=1)
     assert operator.in_line(lambda: ended) == {"FINISHED"}
     assert operator.ended == [ended]
+
+
+def test_a_place_is_waited_for_in_the_view_and_other_editors_keep_their_clicks() -> None:
+    from hnf_blender.ops.probe import HNF_OT_probe
+
+    view = SimpleNamespace(**vars(VIEW) | {"regions": [SimpleNamespace(type="WINDOW", x=0, y=0, width=80, height=100)]})
+    context, ended = SimpleNamespace(window=SimpleNamespace(screen=SimpleNamespace(areas=[view, TEXT]))), []
+    operator = SimpleNamespace(end=lambda context, why: ended.append(why) or {"CANCELLED"})
+
+    def answer(kind: str, x: int) -> set[str]:
+        event = SimpleNamespace(type=kind, value="PRESS", mouse_x=x, mouse_y=50)
+        return HNF_OT_probe._aim(operator, context, event)
+
+    assert [answer(kind, 120) for kind in ("LEFTMOUSE", "RIGHTMOUSE", "ESC")] == [{"PASS_THROUGH"}] * 3
+    assert ended == []
+    assert [answer(kind, 40) for kind in ("RIGHTMOUSE", "ESC")] == [{"CANCELLED"}] * 2
