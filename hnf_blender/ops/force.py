@@ -1,4 +1,4 @@
-"""Force over time: key it, see its curve, copy it to other strokes."""
+"""Force over time: key it, see its curve, copy it to other strokes, move it with its stroke."""
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
@@ -59,6 +59,38 @@ class HNF_OT_stroke_key_force(bpy.types.Operator):  # type: ignore[misc]  # noqa
             return {"CANCELLED"}
         said = tr("{force} N at frame {frame}")
         self.report({"INFO"}, said.format(force=f"{group.force:.2f}", frame=f"{frame:g}"))
+        return {"FINISHED"}
+
+
+class HNF_OT_stroke_move(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.stroke_move"
+    bl_label = "Begin at Another Frame"
+    bl_description = "Move the active stroke in time: its start, and the keyframes of its force and progress with it"
+    bl_options = UNDOABLE
+
+    frame: bpy.props.FloatProperty(
+        name="Start", description="Frame at which the stroke begins", default=1.0, options={"SKIP_SAVE"}
+    )
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return needs_stroke(cls, context)
+
+    def invoke(self, context: Any, _event: Any) -> set[str]:
+        self.frame = active_stroke(context).hnf_stroke.start
+        return set(context.window_manager.invoke_props_dialog(self))
+
+    def execute(self, context: Any) -> set[str]:
+        from ..bridge.moved_keys import begin_at
+
+        stroke = active_stroke(context)
+        try:
+            begin_at(stroke, float(self.frame))
+        except HnfError as error:
+            self.report({"ERROR"}, one_line(error))
+            return {"CANCELLED"}
+        said = tr("{name} begins at frame {frame}")
+        self.report({"INFO"}, said.format(name=stroke.name, frame=f"{self.frame:g}"))
         return {"FINISHED"}
 
 
@@ -129,4 +161,4 @@ class HNF_OT_force_graph(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
         return {"FINISHED"}
 
 
-CLASSES = (HNF_OT_stroke_key_force, HNF_OT_stroke_copy_force, HNF_OT_force_graph)
+CLASSES = (HNF_OT_stroke_key_force, HNF_OT_stroke_move, HNF_OT_stroke_copy_force, HNF_OT_force_graph)

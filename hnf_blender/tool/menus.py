@@ -27,6 +27,7 @@ def object_menu(self: Any, context: Any) -> None:
     elif active.hnf_stroke.is_stroke:
         layout.operator("hnf.stroke_key_force", icon="KEY_HLT")
         layout.operator("hnf.force_graph", icon="GRAPH")
+        layout.operator("hnf.stroke_move", icon="TIME")
         layout.operator("hnf.stroke_duplicate", icon="DUPLICATE")
         layout.operator("hnf.stroke_copy_force", icon="COPYDOWN")
     else:

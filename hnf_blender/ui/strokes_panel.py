@@ -84,11 +84,7 @@ class HNF_PT_stroke(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # noqa: N
         if group.surface is None:
             paragraph(column, context, tr("Empty: the nearest visible mesh is touched"), icon="BLANK1")
         column.prop(group, "probe")
-        split = column.split(factor=0.4)
-        label = split.row()
-        label.alignment = "RIGHT"
-        label.label(text="Feels")
-        row = split.row(align=True)
+        row = labelled(column, "Feels")
         felt = spoken(group.material) if group.material else tr("What is there")
         row.operator("hnf.stroke_material", text=named(context, felt, taken=6), icon="MATERIAL", translate=False)
         if group.material:
@@ -100,12 +96,16 @@ class HNF_PT_stroke_time(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # no
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012  # Blender reads a set
 
     def draw(self, context: Any) -> None:
-        layout, group = self.layout, active_stroke(context).hnf_stroke
+        layout, stroke = self.layout, active_stroke(context)
+        group, keyed = stroke.hnf_stroke, is_keyed(stroke, "progress")
         layout.use_property_split = True
-        keyed = is_keyed(active_stroke(context), "progress")
         column = layout.column()
         column.use_property_decorate = False
-        column.prop(group, "start")
+        if keyed or is_keyed(stroke, "force"):  # the bare number would leave the keys behind
+            row = labelled(column, "Start")
+            row.operator("hnf.stroke_move", text=tr("Frame {frame}…").format(frame=f"{group.start:g}"), translate=False)
+        else:
+            column.prop(group, "start")
         if keyed:
             paragraph(column, context, tr("Keys of progress move the hand"), icon="KEY_HLT")
         else:
@@ -144,6 +144,15 @@ class HNF_PT_stroke_variation(OfStroke, bpy.types.Panel):  # type: ignore[misc] 
         self.layout.use_property_split = True
         self.layout.use_property_decorate = False
         self.layout.prop(active_stroke(context).hnf_stroke, "seed")
+
+
+def labelled(layout: Any, text: str) -> Any:
+    """A row for buttons behind a label that stands where those of properties stand."""
+    split = layout.split(factor=0.4)
+    label = split.row()
+    label.alignment = "RIGHT"
+    label.label(text=text)
+    return split.row(align=True)
 
 
 def is_keyed(obj: Any, name: str) -> bool:

@@ -223,6 +223,28 @@ def test_key_force_at_the_playhead():
     assert act(stroke)[3].force.max() == pytest.approx(2.0, abs=0.05)
 
 
+def test_a_stroke_begun_later_feels_the_same():
+    """Its keys go along, handles too, and those of a stroke that shared them stay."""
+    add_plane()
+    stroke = add_stroke(LINE, start=3.0)
+    key(stroke, "force", (3, 0.5), (8, 2.0), (15, 0.2))
+    key(stroke, "progress", (3, 0.0), (6, 0.7), (15, 1.0))
+    twin = stroke.copy()
+    bpy.context.scene.collection.objects.link(twin)
+    select(stroke)
+    before = read(stroke).samples
+    assert bpy.ops.hnf.stroke_move(frame=50.5) == {"FINISHED"}
+    assert stroke.hnf_stroke.start == 50.5
+    assert keys_of(stroke) == [(50.5, 0.5), (55.5, 2.0), (62.5, 0.2)]
+    for each in (stroke, twin):
+        assert np.allclose(read(each).samples.force, before.force, atol=1e-4)
+        assert np.allclose(read(each).samples.point, before.point, atol=1e-6)
+    stroke.animation_data.nla_tracks.new().strips.new("Held", 1, stroke.animation_data.action)
+    with pytest.raises(RuntimeError, match="in the NLA"):
+        bpy.ops.hnf.stroke_move(frame=1.0)
+    assert stroke.hnf_stroke.start == 50.5
+
+
 def given_and_taken():
     add_plane()
     given, taken = add_stroke(LINE, name="Given", speed_mm_s=60.0), add_stroke(LINE, name="Taken", speed_mm_s=30.0)

@@ -1,0 +1,47 @@
+"""A stroke begun at another frame, with the keyframes of its force and progress."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hnf_core.errors import StrokeError
+
+from .. import compat
+
+PATHS = frozenset({"hnf_stroke.force", "hnf_stroke.progress"})
+
+
+def keyed_curves(stroke: Any) -> list[Any]:
+    """The F-curves of its force and progress that have keyframes."""
+    return [curve for curve in compat.fcurves_of(stroke) if curve.data_path in PATHS and not curve.is_empty]
+
+
+def begin_at(stroke: Any, frame: float) -> None:
+    """Set the stroke's start, and move the keyframes of its force and progress, handles too, by as much.
+
+    An action that others use too is copied first. Raises StrokeError where the keyframes are linked or in the NLA.
+    """
+    group, animation, where = stroke.hnf_stroke, stroke.animation_data, f"stroke '{stroke.name}'"
+    if animation is not None and any(track.strips for track in animation.nla_tracks):
+        raise StrokeError(
+            "its keyframes are in the NLA.", where=where, remedy="Move the strip there, and set its start with it."
+        )
+    if keyed_curves(stroke):
+        action = animation.action
+        if action.library is not None:
+            raise StrokeError(
+                "its keyframes are linked.", where=where, remedy="Make its action local, or move it there."
+            )
+        if action.users > 1 + action.use_fake_user:
+            compat.own_action(stroke)
+    by = frame - float(group.start)
+    for curve in keyed_curves(stroke):
+        for part in ("co", "handle_left", "handle_right"):
+            places = np.empty((len(curve.keyframe_points), 2), dtype=np.float32)
+            curve.keyframe_points.foreach_get(part, places.ravel())
+            places[:, 0] += by
+            curve.keyframe_points.foreach_set(part, places.ravel())
+        curve.update()
+    group.start = frame
