@@ -6,6 +6,9 @@ from typing import Any
 
 import bpy
 
+from hnf_core.errors import HnfError
+from hnf_core.scene.metric import LONGEST_M, SHORTEST_M, metric_scale
+
 from ..translations import tr
 from .greyed import greyed
 from .strokes import UNDOABLE
@@ -26,7 +29,8 @@ class HNF_OT_set_real_length(bpy.types.Operator):  # type: ignore[misc]  # noqa:
         name="Length in metres",
         description="How far apart the two points are in reality, in metres",
         default=1.0,
-        min=1e-6,
+        min=SHORTEST_M,
+        max=LONGEST_M,
         soft_max=10.0,
         precision=4,
     )
@@ -42,7 +46,7 @@ class HNF_OT_set_real_length(bpy.types.Operator):  # type: ignore[misc]  # noqa:
         if first is not None and not self.properties.is_property_set("length_m"):
             from ..bridge.importers import metres_per_unit
 
-            self.length_m = max((second - first).length * metres_per_unit(context.scene), 1e-6)
+            self.length_m = max((second - first).length * metres_per_unit(context.scene), SHORTEST_M)
         return context.window_manager.invoke_props_dialog(self)  # type: ignore[no-any-return]
 
     def execute(self, context: Any) -> set[str]:
@@ -54,7 +58,11 @@ class HNF_OT_set_real_length(bpy.types.Operator):  # type: ignore[misc]  # noqa:
         if units < 1e-9:
             self.report({"ERROR"}, tr("The two points lie in one place: choose two that are apart"))
             return {"CANCELLED"}
-        context.scene.hnf.metres_per_unit = self.length_m / units
+        try:
+            context.scene.hnf.metres_per_unit = metric_scale(*points, self.length_m)
+        except HnfError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
         said = tr("{units} units are {length} m: one unit is {metres} m")
         metres = context.scene.hnf.metres_per_unit
         self.report({"INFO"}, said.format(units=f"{units:.4g}", length=f"{self.length_m:g}", metres=f"{metres:.4g}"))

@@ -156,6 +156,10 @@ def test_two_selected_objects_and_their_distance_set_the_scale() -> None:
     bpy.context.view_layer.update()
     with pytest.raises(RuntimeError, match="lie in one place"):
         bpy.ops.hnf.set_real_length(length_m=0.5)
+    bpy.data.objects["B"].location = (1.0, 1e-5, 0.0)
+    bpy.context.view_layer.update()
+    with pytest.raises(RuntimeError, match=r"a unit would be 1e\+08 m"):
+        bpy.ops.hnf.set_real_length(length_m=1000.0)
     assert bpy.context.scene.hnf.metres_per_unit == pytest.approx(0.1)
 
 
