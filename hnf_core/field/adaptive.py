@@ -55,15 +55,14 @@ class Sampled:
         )
 
 
-def sample_emission(
-    evaluate: Evaluate, count: int, tolerance: float, turns: Samples = np.zeros(0, dtype=np.int64)
-) -> Sampled:
+def sample_emission(evaluate: Evaluate, count: int, tolerance: float, turns: Samples | None = None) -> Sampled:
     """Emissions over samples 0 … count of a field with one head.
 
     tolerance: root of the power that the straight lines miss over that of the stroke, 0 for as fine as FINEST. turns:
     samples that are asked for in any case, since something begins or ends there. Past MOST samples it stops.
     """
-    at = np.unique(np.concatenate([np.arange(0, count, COARSEST), turns[turns < count], [count]]))
+    known = np.arange(0) if turns is None else turns[turns < count]
+    at = np.unique(np.concatenate([np.arange(0, count, COARSEST), known, [count]]))
     emission = _evaluate(evaluate, at)
     pending = np.stack([at[:-1], at[1:]], axis=1)
     settled, power = np.zeros((0, 2), dtype=np.int64), np.zeros(0)

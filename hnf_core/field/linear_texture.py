@@ -133,7 +133,7 @@ def _angular_density(two: NDArray[np.complex128], four: NDArray[np.complex128], 
     series = 1.0 + 4.0 / 3.0 * _turned(two, 2.0 * angle) + 2.0 / 3.0 * _turned(four, 4.0 * angle)
     facing = _turned(np.exp(2j * axis), 2.0 * angle)
     line = along * _bump(facing) + (1.0 - along) * _bump(-facing)
-    return np.maximum((1.0 - oriented) * series + oriented * line, 0.0)
+    return np.asarray(np.maximum((1.0 - oriented) * series + oriented * line, 0.0))
 
 
 def _turned(moment: NDArray[np.complex128], angle: Float) -> Float:
