@@ -1,4 +1,4 @@
-"""Strokes as a whole: add, convert, duplicate, delete, select, solo."""
+"""Strokes as a whole: add, convert and back, duplicate, delete, select, solo."""
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
@@ -162,7 +162,8 @@ class HNF_OT_stroke_from_curve(bpy.types.Operator):  # type: ignore[misc]  # noq
                 self.report({"WARNING"}, one_line(error))
                 continue
             group = obj.hnf_stroke
-            group.is_stroke, group.law, group.speed_mm_s = True, "SPEED", self.speed_mm_s
+            group.is_stroke, group.was_curve = True, True
+            group.law, group.speed_mm_s = "SPEED", self.speed_mm_s
             group.start, group.probe = float(context.scene.frame_current_final), probe_of(context, AS_SET)
             made.append(obj)
         if not made:
@@ -217,7 +218,7 @@ NAME = {"name": "Name", "description": "Stroke object; empty: the active one", "
 class HNF_OT_stroke_delete(OfStrokeObject, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.stroke_delete"
     bl_label = "Delete Stroke"
-    bl_description = "Delete this stroke with its curve and keyframes"
+    bl_description = "Delete this stroke with its curve and keyframes. Your own curve becomes a plain one again"
     bl_options = UNDOABLE
 
     name: bpy.props.StringProperty(**NAME)
@@ -231,6 +232,8 @@ class HNF_OT_stroke_delete(OfStrokeObject, bpy.types.Operator):  # type: ignore[
                 where=f"stroke '{name}'",
                 remedy="Delete it in that file, or unlink its collection in the Outliner. Nothing was deleted.",
             )
+        if stroke.hnf_stroke.was_curve:
+            return to_curve(stroke)
         strokes = strokes_of(scene)
         at = strokes.index(stroke)
         rest = [other for other in strokes if other != stroke]
@@ -245,6 +248,33 @@ class HNF_OT_stroke_delete(OfStrokeObject, bpy.types.Operator):  # type: ignore[
         return tr("Deleted {name}").format(name=name)
 
 
+class HNF_OT_stroke_to_curve(OfStrokeObject, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.stroke_to_curve"
+    bl_label = "Back to a Plain Curve"
+    bl_description = "The curve is no stroke any more: its bake is dropped, its keyframes stay"
+    bl_options = UNDOABLE
+
+    name: bpy.props.StringProperty(**NAME)
+
+    def work(self, _context: Any, stroke: Any) -> str:
+        if stroke.library is not None:
+            raise SceneError(
+                f"it is linked from {stroke.library.name}.",
+                where=f"stroke '{stroke.name}'",
+                remedy="Make it local or override it (Object > Library Override).",
+            )
+        return to_curve(stroke)
+
+
+def to_curve(stroke: Any) -> str:
+    """Make it a plain curve, and say so."""
+    from ..touch.stored import forget
+
+    forget(stroke)
+    stroke.hnf_stroke.is_stroke = stroke.hnf_stroke.was_curve = False
+    return tr("'{name}' is a plain curve again").format(name=stroke.name)
+
+
 class HNF_OT_stroke_duplicate(OfStrokeObject, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.stroke_duplicate"
     bl_label = "Duplicate Stroke"
@@ -256,6 +286,7 @@ class HNF_OT_stroke_duplicate(OfStrokeObject, bpy.types.Operator):  # type: igno
     def work(self, context: Any, stroke: Any) -> str:
         copy = stroke.copy()
         copy.data = stroke.data.copy()
+        copy.hnf_stroke.was_curve = False
         own_action(copy)
         for collection in stroke.users_collection:
             if collection.library is None:
@@ -321,6 +352,7 @@ CLASSES = (
     HNF_OT_stroke_add,
     HNF_OT_stroke_from_curve,
     HNF_OT_stroke_delete,
+    HNF_OT_stroke_to_curve,
     HNF_OT_stroke_duplicate,
     HNF_OT_stroke_select,
     HNF_OT_stroke_solo,

@@ -25,6 +25,13 @@ class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no ty
         default=False,
         override=OVERRIDABLE,
     )
+    was_curve: bpy.props.BoolProperty(
+        name="Was a curve",
+        description="The artist's own curve, made a stroke: it is not deleted with the stroke",
+        default=False,
+        options={"HIDDEN"},
+        override=OVERRIDABLE,
+    )
     mute: bpy.props.BoolProperty(name="Mute", description="Leave this stroke out", default=False, override=OVERRIDABLE)
     start: bpy.props.FloatProperty(
         name="Start", description="Frame at which the stroke begins", default=1.0, override=OVERRIDABLE

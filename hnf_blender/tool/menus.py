@@ -30,6 +30,7 @@ def object_menu(self: Any, context: Any) -> None:
         layout.operator("hnf.stroke_move", icon="TIME")
         layout.operator("hnf.stroke_duplicate", icon="DUPLICATE")
         layout.operator("hnf.stroke_copy_force", icon="COPYDOWN")
+        layout.operator("hnf.stroke_to_curve", icon="OUTLINER_OB_CURVE")
     else:
         layout.operator("hnf.stroke_from_curve", icon="CURVE_PATH")
 

@@ -48,6 +48,7 @@ class HNF_PT_strokes(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa
         row.template_list("HNF_UL_strokes", "", scene, "objects", scene.hnf, "stroke_index", rows=rows)
         side = row.column(align=True)
         side.operator("hnf.stroke_duplicate", text="", icon="DUPLICATE")
+        side.operator("hnf.stroke_to_curve", text="", icon="OUTLINER_OB_CURVE")
         side.operator("hnf.stroke_delete", text="", icon="REMOVE")
         stroke = active_stroke(context)
         if stroke is None:

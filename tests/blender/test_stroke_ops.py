@@ -104,6 +104,14 @@ def test_a_curve_becomes_a_stroke():
     assert act(line)[3].speed.max() == pytest.approx(0.04, rel=1e-3)
     assert active_stroke(bpy.context) == other
     assert line.hnf_stroke.start == 5.0
+    line["hnf_bake"] = b"a bake"
+    assert bpy.ops.hnf.stroke_to_curve(name="Line") == {"FINISHED"}
+    assert bpy.ops.hnf.stroke_delete(name="Other") == {"FINISHED"}  # the artist's own curve
+    assert stroke_objects(bpy.context.scene) == []
+    assert other.name == "Other"
+    assert "hnf_bake" not in line
+    select(line, other)
+    assert bpy.ops.hnf.stroke_from_curve() == {"FINISHED"}
     select(line)
     with pytest.raises(RuntimeError, match="no stroke yet"):
         bpy.ops.hnf.stroke_from_curve()
