@@ -70,6 +70,18 @@ def into_collection(stroke: Any, scene: Any) -> None:
         own.objects.link(stroke)
 
 
+def show_collection(stroke: Any, view_layer: Any) -> bool:
+    """Show the scene's "Touch strokes" with the stroke in it where this view layer hides or excludes it: what was made
+    a moment ago would vanish, and could not be selected. Was it hidden?"""
+    view_layer.update()  # a collection made a moment ago is not in it yet
+    hidden = False
+    for layer in view_layer.layer_collection.children:
+        if layer.collection in stroke.users_collection:
+            hidden |= layer.exclude or layer.hide_viewport or layer.collection.hide_viewport
+            layer.exclude = layer.hide_viewport = layer.collection.hide_viewport = False
+    return hidden
+
+
 def insert_keys(stroke: Any, name: str, keys: Keys, start: float, per_second: float) -> None:
     """Keyframes of hnf_stroke's property, time 0 at frame `start`, per_second frames a second.
 

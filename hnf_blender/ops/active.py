@@ -8,6 +8,7 @@ from hnf_core.errors import HnfError
 
 from ..prefs import settings
 from ..props.scene import place_in
+from ..translations import tr
 
 AS_SET = "AS_SET"
 """Value of an operator's probe: the one of the preferences."""
@@ -23,6 +24,15 @@ def make_active(context: Any, stroke: Any) -> None:
         stroke.select_set(True, view_layer=layer)
         layer.objects.active = stroke
     context.scene.hnf.stroke_index = max(0, place_in(context.scene.objects, stroke))
+
+
+def make_shown(context: Any, stroke: Any) -> str:
+    """make_active() a new stroke, its collection shown again where that was hidden; what is to be said of that."""
+    from ..bridge.new_stroke import COLLECTION, show_collection
+
+    hidden = show_collection(stroke, context.view_layer)
+    make_active(context, stroke)
+    return tr("; the collection '{name}' was hidden and is shown again").format(name=COLLECTION) if hidden else ""
 
 
 def metres_of(scene: Any) -> float:

@@ -13,7 +13,7 @@ from hnf_core.units import m_to_mm, mm_to_m
 
 from ..props.stroke import FORCE_MAX_N
 from ..translations import tr
-from .active import AS_SET, make_active, metres_of, one_line, probe_of
+from .active import AS_SET, make_shown, metres_of, one_line, probe_of
 from .greyed import greyed
 
 PROBE_ITEMS = [
@@ -231,11 +231,11 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
             probe=probe_of(context, str(self.probe)),
             metres_per_unit=metres,
         )
-        make_active(context, made.obj)
+        shown = make_shown(context, made.obj)
         lifted = tr("; silent where it left the surface") if made.drawn.lifted else ""
         said = tr("{name}: {length} mm in {time} s")
         length, seconds = m_to_mm(made.drawn.length_m), made.drawn.duration_s
-        return said.format(name=made.obj.name, length=f"{length:.0f}", time=f"{seconds:.2f}") + lifted
+        return said.format(name=made.obj.name, length=f"{length:.0f}", time=f"{seconds:.2f}") + lifted + shown
 
     def _surface(self, context: Any, points: Any, depsgraph: Any, metres: float) -> Any:
         from ..bridge.meshes import surface_mesh

@@ -12,7 +12,7 @@ from hnf_core.errors import HnfError, SceneError
 from ..compat import own_action
 from ..props.scene import active_stroke, place_in, stroke_named, strokes_of
 from ..translations import tr
-from .active import AS_SET, make_active, metres_of, one_line, probe_of
+from .active import AS_SET, make_active, make_shown, metres_of, one_line, probe_of
 from .draw import PROBE_ITEMS
 from .greyed import greyed
 
@@ -128,8 +128,8 @@ class HNF_OT_stroke_add(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
                 window.cursor_modal_restore()
         into_collection(placed.curve, scene)
         placed.curve.hnf_stroke.probe = probe_of(context, str(self.probe))
-        make_active(context, placed.curve)
-        self.report({"INFO"}, f"{placed.curve.name}: {placed.size_m * 1e3:.0f} mm")
+        shown = make_shown(context, placed.curve)
+        self.report({"INFO"}, f"{placed.curve.name}: {placed.size_m * 1e3:.0f} mm{shown}")
         return {"FINISHED"}
 
 

@@ -181,6 +181,10 @@ def _travelled(samples: StrokeSamples, velocity: Float, tangent: Float) -> Float
     return np.asarray(samples.position[0] + way)
 
 
+def _length_text(length_m: float) -> str:
+    return f"{length_m * 1e3:.3g} mm" if length_m < 1.0 else f"{length_m:.3g} m"
+
+
 def require_contact(contacts: Contacts, *, where: str, surface: str) -> None:
     """Raises StrokeError, with the distance, where no sample touches surface (its name) with force."""
     if (contacts.on_surface & (contacts.force > 0.0)).any():
@@ -188,7 +192,7 @@ def require_contact(contacts: Contacts, *, where: str, surface: str) -> None:
     if not contacts.on_surface.any():
         nearest = float(contacts.distance.min())
         raise StrokeError(
-            f"it touches nothing: '{surface}' stays {nearest * 1e3:.3g} mm away.",
+            f"it touches nothing: '{surface}' stays {_length_text(nearest)} away.",
             where=where,
             remedy="Move the curve onto the surface, or snap its points to faces.",
         )

@@ -85,6 +85,21 @@ def test_a_second_stroke_goes_on_the_surface_of_the_first_and_one_material_can_b
         bpy.ops.hnf.stroke_add(slot=3)
 
 
+def test_a_new_stroke_is_seen_though_the_collection_was_hidden():
+    select(add_plane())
+    bpy.ops.hnf.stroke_add()
+    (layer,) = bpy.context.view_layer.layer_collection.children
+    for hide in ("exclude", "hide_viewport"):
+        setattr(layer, hide, True)
+        select(bpy.data.objects["Plane"])
+        assert bpy.ops.hnf.stroke_add() == {"FINISHED"}
+        assert not getattr(layer, hide)
+        stroke = bpy.context.view_layer.objects.active
+        assert stroke.hnf_stroke.is_stroke
+        assert stroke.visible_get()
+        assert stroke.select_get()
+
+
 def test_nothing_to_touch_says_so():
     with pytest.raises(RuntimeError, match="Select the mesh"):
         bpy.ops.hnf.stroke_add()

@@ -306,9 +306,10 @@ def test_tilting_and_stretching_surface_is_felt_at_rest():
 
 
 def test_touching_nothing_is_said():
-    samples = stroke([[0.0, 0.0, 0.02], [0.01, 0.0, 0.02]])
-    with pytest.raises(StrokeError, match="Scrape: it touches nothing: 'Cup' stays 20 mm away"):
-        require_contact(find_contacts(samples, grid_mesh()), where="Scrape", surface="Cup")
+    for height, said in ((0.02, "20 mm"), (49.0, "49 m")):
+        samples = stroke([[0.0, 0.0, height], [0.01, 0.0, height]])
+        with pytest.raises(StrokeError, match=f"Scrape: it touches nothing: 'Cup' stays {said} away"):
+            require_contact(find_contacts(samples, grid_mesh()), where="Scrape", surface="Cup")
     weak = stroke(LINE, force=0.0)
     with pytest.raises(StrokeError, match="Scrape: it never presses"):
         require_contact(find_contacts(weak, grid_mesh()), where="Scrape", surface="Cup")
