@@ -47,10 +47,11 @@ class WeightsFile:
         return WeightsError(what, where=self.where, remedy=self.kind.again)
 
     def described(self, read: Callable[[Mapping[str, str]], T]) -> T:
-        """What read makes of the metadata. Raises WeightsError where it raises KeyError, TypeError or ValueError."""
+        """What read makes of the metadata. Raises WeightsError where it raises for what is not as it should
+        be: KeyError, TypeError, ValueError, or a number or a nesting beyond all measure."""
         try:
             return read(self.metadata)
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
             raise self.refused(f"unreadable description ({error}).") from error
 
     def parameters(

@@ -60,17 +60,23 @@ def band_bins(
 ) -> tuple[NDArray[np.complex128], NDArray[np.intp]]:
     """The bins of band_spectra that are not zero, one band after another, and the first bin of each band and of what
     follows the last, (B + 1,). Numbers that no band holds are not drawn."""
-    starts = np.clip(np.ceil(edges).astype(np.intp), 1, size // 2)
-    widths = np.diff(starts)
-    if np.any(widths <= 0):
-        raise ValueError(f"band {int(np.argmax(widths <= 0))} holds no bin of a period of {size} samples")
-    count = size // 2 + 1
+    starts = first_bins(edges, size)
+    widths, count = np.diff(starts), size // 2 + 1
     radius, angle = _polar(seed, stream, block, count, slice(int(starts[0]), int(starts[-1])))
     # Each of n bins is complex normal of variance 2, mirrored: the period's mean power is 4 n / size².
     level = np.repeat(size / np.sqrt(4.0 * widths), widths)
     bins = np.empty(len(radius), dtype=np.complex128)
     bins.real, bins.imag = radius * level * np.cos(angle), radius * level * np.sin(angle)
     return bins, starts
+
+
+def first_bins(edges: NDArray[np.float64], size: int) -> NDArray[np.intp]:
+    """(B + 1,) first bin of each band and of what follows the last. Raises ValueError as band_spectra does."""
+    starts = np.clip(np.ceil(edges).astype(np.intp), 1, size // 2)
+    empty = np.diff(starts) <= 0
+    if empty.any():
+        raise ValueError(f"band {int(np.argmax(empty))} holds no bin of a period of {size} samples")
+    return starts
 
 
 def crossfade_window(size: int) -> NDArray[np.float64]:

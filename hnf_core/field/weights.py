@@ -19,8 +19,9 @@ from ..material.mechanics import Mechanics, beyond_limits
 from ..material.token import ENCODER_ID, LARGEST_VALUE, TOKEN_DIM
 from ..tensor_file import packed
 from ..weights_file import Kind, WeightsFile, parse_weights, read_weights
-from .carriers import Carriers
+from .carriers import MODEL_RATE_HZ, TIME_BLOCK, Carriers
 from .field import Field, FieldConfig
+from .noise import first_bins
 from .ranges import MECHANICS_NAMES, SECTORS, Given, Ranges
 
 DEFAULT_WEIGHTS = Path(__file__).parent.parent / "data" / "field.safetensors"
@@ -29,6 +30,9 @@ HELD_OUT_WEIGHTS = DEFAULT_WEIGHTS.with_name("field-held-out.safetensors")
 EVERY_ENCODER_WEIGHTS = DEFAULT_WEIGHTS.with_name("field-encoders.safetensors")
 """Trained on tokens of every make of E; a little worse than the default on those of the library's make."""
 FORMAT = "hnf-field-1"
+MOST_OCTAVES, MOST_LAYERS = 16, 100
+LOWEST_PER_M, HIGHEST_PER_M = 1e-3, 1e9
+"""Of arc carriers [cycles/m]: waves of a kilometre and of a nanometre."""
 _TOKEN_LOW, _TOKEN_HIGH = "ranges.token_low", "ranges.token_high"
 _KIND = Kind(
     "weights", FORMAT, "these are not field weights", "Train it again with this version, or choose other weights."
@@ -132,7 +136,7 @@ def own_material(field: Field, where: str) -> LibraryMaterial:
         if problem:
             raise ValueError(problem.rstrip("."))
         return LibraryMaterial(str(record["name"]), "", (), Appearance(), mechanics, token)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise WeightsError(
             f"these weights do not belong to one material ({error}).",
             where=where,
@@ -166,16 +170,51 @@ def _config(record: Mapping[str, Any]) -> FieldConfig:
     carriers = dict(record["carriers"])
     carriers["time_edges_hz"] = tuple(float(edge) for edge in carriers["time_edges_hz"])
     config = FieldConfig(**{**record, "carriers": Carriers(**carriers)})
+    _check_kinds(config)
+    _check_kinds(config.carriers)
+    _check_carriers(config.carriers)
     if config.accumulation not in ("past", "heads") or config.emission not in ("log", "linear"):
         raise ValueError(f"unknown accumulation {config.accumulation!r} or emission {config.emission!r}")
-    if min(config.hidden, config.layers, config.states) < 1 or config.arc_knots not in (0, *range(2, 1000)):
-        raise ValueError("hidden, layers and states must be positive, arc_knots 0 or at least 2")
+    if (
+        min(config.hidden, config.layers, config.states) < 1
+        or config.layers > MOST_LAYERS
+        or config.arc_knots not in (0, *range(2, 1000))
+    ):
+        raise ValueError(
+            f"hidden, layers and states must be positive, layers {MOST_LAYERS} at most, arc_knots 0 or 2 up"
+        )
+    if not 0.0 <= config.spacing_s <= 1.0 or not 0 <= config.action_octaves <= MOST_OCTAVES:
+        raise ValueError(f"spacing_s must lie between 0 and 1, action_octaves between 0 and {MOST_OCTAVES}")
     physical = config.physics and (config.emission, config.accumulation) == ("log", "past")
     if config.line_gains and not (physical and config.carriers.arc_count):
         raise ValueError("line gains need the linear contact, log emission, past states and arc carriers")
     if config.stroke_frame and not config.directed:
         raise ValueError("without directions there is no frame of the stroke")
     return config
+
+
+_NUMBERS: dict[str, type | tuple[type, ...]] = {"int": int, "float": (int, float), "bool": bool}
+
+
+def _check_kinds(record: FieldConfig | Carriers) -> None:
+    """Raises TypeError where a number is of another kind than the architecture has there."""
+    for each in dataclasses.fields(record):
+        kind, value = str(each.type), getattr(record, each.name)
+        if kind in _NUMBERS and (not isinstance(value, _NUMBERS[kind]) or isinstance(value, bool) != (kind == "bool")):
+            raise TypeError(f"{each.name} is {value!r:.40}, not of kind {kind}")
+
+
+def _check_carriers(carriers: Carriers) -> None:
+    """Raises ValueError where no noise can be drawn for them."""
+    edges = carriers.time_edges()
+    if not ((edges > 0.0) & (edges <= MODEL_RATE_HZ)).all():
+        raise ValueError(f"time_edges_hz leave 0 to {MODEL_RATE_HZ:g} Hz")
+    first_bins(edges * (TIME_BLOCK / MODEL_RATE_HZ), TIME_BLOCK)
+    if not 0 <= carriers.arc_octaves <= MOST_OCTAVES:
+        raise ValueError(f"arc_octaves must lie between 0 and {MOST_OCTAVES}, not {carriers.arc_octaves}")
+    start = carriers.arc_start_per_m
+    if not (start >= LOWEST_PER_M and start * 2.0**carriers.arc_octaves <= HIGHEST_PER_M):
+        raise ValueError(f"arc carriers must lie between {LOWEST_PER_M:g} and {HIGHEST_PER_M:g} cycles per metre")
 
 
 def _ranges_record(ranges: Ranges) -> dict[str, Any]:

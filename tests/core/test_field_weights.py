@@ -1,0 +1,75 @@
+"""A field's description on disk: whatever it says, the file is read or refused, and what is read can be felt."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from hnf_core.action.primitive_path import primitive_action
+from hnf_core.action.primitives import DEFAULT_PRIMITIVE
+from hnf_core.errors import WeightsError
+from hnf_core.field.carriers import Carriers
+from hnf_core.field.field import Field, FieldConfig, initial_parameters
+from hnf_core.field.stroke import uniform_stroke
+from hnf_core.field.synthesis import synthesise
+from hnf_core.field.weights import field_bytes, own_material, parse_field
+from hnf_core.material.library import find
+from hnf_core.tensor_file import packed, unpacked
+
+CONFIG = FieldConfig(hidden=8, layers=1, states=2, carriers=Carriers((50.0, 100.0, 200.0), arc_octaves=2), arc_knots=5)
+TENSORS, METADATA = unpacked(field_bytes(Field(CONFIG, initial_parameters(CONFIG, 0))))
+ARCHITECTURE = json.loads(METADATA["architecture"])
+OAK = find("oak-wood")
+STROKE = uniform_stroke(primitive_action(DEFAULT_PRIMITIVE, seed=0), OAK.token, OAK.mechanics)
+STRANGE = (-1, 0, 0.5, 17, 1e300, 10**400, float("nan"), float("inf"), True, None, "x", [], {}, [[1.0]], [2.0, 1.0])
+
+
+def read(architecture: object) -> Field:
+    return parse_field(packed(TENSORS, {**METADATA, "architecture": json.dumps(architecture)}), "w.safetensors")
+
+
+def changed(name: str, value: object) -> object:
+    """The architecture with one entry replaced, "carriers.NAME" = of its carriers."""
+    outer, _, inner = name.partition(".")
+    return {**ARCHITECTURE, outer: {**ARCHITECTURE[outer], inner: value} if inner else value}
+
+
+NAMES = [*ARCHITECTURE, *(f"carriers.{field.name}" for field in dataclasses.fields(Carriers))]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_whatever_a_description_says_it_is_refused_or_can_be_felt(name: str) -> None:
+    for value in STRANGE:
+        with contextlib.suppress(WeightsError):
+            field = read(changed(name, value))
+            assert np.isfinite(synthesise(field, STROKE, seed=1).signal.samples).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("spacing_s", -0.01, "spacing_s must lie between 0 and 1"),
+        ("spacing_s", float("nan"), "spacing_s must lie between 0 and 1"),
+        ("states", 2.0, "states is 2.0, not of kind int"),
+        ("carriers.time_edges_hz", [200.0, 100.0, 50.0], "band 0 holds no bin"),
+        ("carriers.time_edges_hz", [50.0, 50.1, 50.2], "holds no bin"),
+        ("carriers.time_edges_hz", [50.0, 100.0, float("nan")], "time_edges_hz leave"),
+        ("carriers.arc_start_per_m", -50.0, "arc carriers must lie between"),
+        ("carriers.arc_octaves", 17, "arc_octaves must lie between 0 and 16"),
+    ],
+)
+def test_it_is_said_what_cannot_be(name: str, value: object, words: str) -> None:
+    with pytest.raises(WeightsError, match=words):
+        read(changed(name, value))
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"token": [1' + "0" * 400 + "]}", "[]", '{"token": "x"}'])
+def test_a_material_that_is_none_is_refused(text: str) -> None:
+    with pytest.raises(WeightsError, match="one material"):
+        own_material(Field(CONFIG, {}, metadata={"material": text}), "w.safetensors")
+    with pytest.raises(WeightsError, match="description"):
+        parse_field(packed(TENSORS, {**METADATA, "architecture": text}), "w.safetensors")
