@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from . import timeline
@@ -27,10 +28,20 @@ BUSY_S = 0.5
 """From then on the panel says that a signal is on its way. To draw that at once would only keep it waiting: while
 Blender draws, nothing is collected."""
 
-_seen: object = None
-_drawn: object = None
-_busy_since = math.inf
-_waiting: list[str] = []
+
+@dataclass
+class Looked:
+    """What is known of one scene that a window shows. seen: of which signals follow; drawn: what the panel shows of the
+    active stroke, busy_since when. waiting: names of strokes to be looked at yet."""
+
+    seen: object = None
+    drawn: object = None
+    busy_since: float = math.inf
+    waiting: list[str] = field(default_factory=list)
+
+
+_looked: dict[str, Looked] = {}
+"""By scene."""
 
 
 def enter_file(*_: Any) -> None:
@@ -39,7 +50,7 @@ def enter_file(*_: Any) -> None:
 
     stop()
     timeline.FOLLOWER.begun_at = None
-    _waiting.clear()
+    _looked.clear()
     if PREVIEW.listener is not None:  # with what it kept and is still making of the other file's strokes
         PREVIEW.listener.end(wait=False)
         PREVIEW.listener = None
@@ -52,17 +63,37 @@ def tick() -> float:
 
     from ..state.warm import is_ready
 
-    window = next(iter(bpy.context.window_manager.windows), None)
-    if window is None or not hasattr(bpy.types.Object, "hnf_stroke") or not is_ready():
+    windows = list(bpy.context.window_manager.windows)
+    if not windows or not hasattr(bpy.types.Object, "hnf_stroke") or not is_ready():
         return INTERVAL_S
-    with bpy.context.temp_override(window=window):
-        _look(bpy.context, window.screen.is_animation_playing)
+    look_at(windows)
     listening = PREVIEW.listener is not None and PREVIEW.listener.is_busy
     return LISTENING_INTERVAL_S if listening else INTERVAL_S
 
 
-def _look(context: Any, timeline_plays: bool) -> None:
-    global _seen, _drawn
+def look_at(windows: Sequence[Any]) -> None:
+    """Every scene that one of them shows, once; the first one's is what an actuator plays."""
+    import bpy
+
+    from . import current
+
+    heard = current.collect()
+    ended = bool(PREVIEW.sounding) and not current.PLAYER.is_playing
+    if ended:
+        PREVIEW.sounding = ""
+    shown = {window.scene.name_full: window for window in reversed(windows)}
+    first = windows[0].scene.name_full
+    for name in _looked.keys() - shown.keys():
+        del _looked[name]
+    for name in (first, *(shown.keys() - {first})):
+        own = {each for each in heard if each in shown[name].scene.objects}
+        heard -= own  # an object may stand in both
+        with bpy.context.temp_override(window=shown[name]):
+            _look(bpy.context, own, ended, is_first=name == first)
+
+
+def _look(context: Any, heard: set[str], ended: bool, *, is_first: bool) -> None:
+    """The scene of context's window. heard: whose signals came, of its objects; ended: what sounded is over."""
     import bpy
 
     from .. import actuator
@@ -72,51 +103,46 @@ def _look(context: Any, timeline_plays: bool) -> None:
     from . import current
 
     scene, active = context.scene, active_stroke(context)
+    looked = _looked.setdefault(scene.name_full, Looked())
     shown_now = None if active is None else PREVIEW.shown(active.name)
-    if shown_now is None:
+    if is_first and shown_now is None:
         actuator.tick(context)
-    else:
+    elif is_first and shown_now is not None:
         actuator.tick(context, shown_now.stamp, shown_now.signal)
-    heard = current.collect()
     settings = scene.hnf
     seen = (
-        STATE.changes, scene.name, active and active.name, actuator_of(scene), settings.monitor_gain_db,
+        STATE.changes, active and active.name, actuator_of(scene), settings.monitor_gain_db,
         tuple((name, status.freshness, status.why) for name, status in STATE.strokes.items()),
     )  # fmt: skip
-    ended = bool(PREVIEW.sounding) and not current.PLAYER.is_playing
-    if ended:
-        PREVIEW.sounding = ""
-    if seen != _seen:
-        _seen = seen
+    if seen != looked.seen:
+        looked.seen = seen
         others = strokes_of(scene) if settings.follow_timeline else []
         PREVIEW.keep_only({obj.name for obj in bpy.data.objects})
-        _waiting.clear()
-        _waiting.extend(obj.name for obj in others if obj != active)
+        looked.waiting[:] = [obj.name for obj in others if obj != active]
         if active is not None:
             current.refresh(active, context, wait=False)
     until = time.monotonic() + BUDGET_S
-    while _waiting and time.monotonic() < until:
-        other = scene.objects.get(_waiting.pop(0))
+    while looked.waiting and time.monotonic() < until:
+        other = scene.objects.get(looked.waiting.pop(0))
         if other is not None:
             current.refresh(other, context, wait=False, first=False)
     shown = active.name if active is not None else ""
     for name in heard | {shown} - {""}:
         current.tell(name, scene)
-    drawn = shown, _worth_drawing(PREVIEW.facts.get(shown))
-    if heard or ended or drawn != _drawn:
-        _drawn = drawn
+    drawn = shown, _worth_drawing(PREVIEW.facts.get(shown), looked)
+    if heard or ended or drawn != looked.drawn:
+        looked.drawn = drawn
         redraw_tab()
-    _sound(context, heard, timeline_plays)
+    _sound(context, heard, context.window.screen.is_animation_playing)
 
 
-def _worth_drawing(facts: PreviewFacts | None) -> PreviewFacts | None:
+def _worth_drawing(facts: PreviewFacts | None, looked: Looked) -> PreviewFacts | None:
     """Facts as the panel is to show them: busy only after BUSY_S."""
-    global _busy_since
     if facts is None or not facts.busy:
-        _busy_since = math.inf
+        looked.busy_since = math.inf
         return facts
-    _busy_since = min(_busy_since, time.monotonic())
-    return facts if time.monotonic() - _busy_since >= BUSY_S else replace(facts, busy=False)
+    looked.busy_since = min(looked.busy_since, time.monotonic())
+    return facts if time.monotonic() - looked.busy_since >= BUSY_S else replace(facts, busy=False)
 
 
 def _sound(context: Any, heard: set[str], timeline_plays: bool) -> None:
@@ -134,7 +160,7 @@ def _sound(context: Any, heard: set[str], timeline_plays: bool) -> None:
         except HnfError as error:
             PREVIEW.problems[name] = str(error)
         current.tell(name, context.scene)
-    elif heard and timeline_plays and timeline.FOLLOWER.begun_at is not None:
+    elif heard and timeline_plays and timeline.FOLLOWER.plays(context.scene):
         timeline.FOLLOWER.start(context.scene)
 
 

@@ -27,6 +27,9 @@ class Follower:
         self.begun_at: float | None = None
         self.scene = ""
 
+    def plays(self, scene: Any) -> bool:
+        return self.begun_at is not None and self.scene == scene.name
+
     def start(self, scene: Any) -> None:
         """Sound what lies ahead of the present frame. Nothing where sound is missing: the timeline plays on."""
         from hnf_core.errors import HnfError
@@ -58,7 +61,7 @@ class Follower:
         from .current import PLAYER
         from .placement import Clock, has_jumped
 
-        if self.begun_at is None or scene.name != self.scene:
+        if self.begun_at is None or not self.plays(scene):
             return
         clock = Clock(float(scene.render.fps), float(scene.render.fps_base))
         frame = float(scene.frame_current_final)

@@ -10,6 +10,7 @@ from hnf_core.actuators.profile import GENERIC, OWN, PROFILES, ActuatorProfile, 
 
 from ..compat import beside_the_file
 from .export_formats import FORMAT_ITEMS
+from .listed import LISTED
 from .overriding import OVERRIDABLE
 from .profile_file import FILE, profile_in_file
 from .stroke import FORCE_MAX_N
@@ -147,7 +148,7 @@ def actuator_of(scene: Any) -> ActuatorProfile:
 
 def strokes_of(scene: Any) -> list[Any]:
     """The scene's stroke objects, muted ones too, in the order of its objects."""
-    return [obj for obj in scene.objects if obj.hnf_stroke.is_stroke]
+    return LISTED.strokes(scene)
 
 
 def stroke_named(scene: Any, name: str) -> Any:

@@ -7,9 +7,15 @@ import bpy
 
 from hnf_core.material.mechanics import PROBES
 
+from .listed import LISTED
 from .overriding import OVERRIDABLE
 
 FORCE_MAX_N = 20.0
+
+
+def _listed_anew(_group: object, _context: object) -> None:
+    LISTED.forget()
+
 
 LAWS = (
     ("PROGRESS", "Progress keys", "Where along the curve the hand is at each frame comes from the keyed progress"),
@@ -24,6 +30,7 @@ class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no ty
         description="This curve is a stroke: a path along which the surface is touched",
         default=False,
         override=OVERRIDABLE,
+        update=_listed_anew,
     )
     was_curve: bpy.props.BoolProperty(
         name="Was a curve",

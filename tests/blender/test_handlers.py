@@ -9,6 +9,8 @@ from job_scene import PLATE, line_stroke, small_scene
 
 from hnf_blender import handlers
 from hnf_blender.jobs import running
+from hnf_blender.props.listed import LISTED
+from hnf_blender.props.scene import strokes_of
 from hnf_blender.state import picked, watch
 from hnf_blender.state.guard import own_changes
 from hnf_blender.state.session import STATE, Freshness, StrokeStatus
@@ -26,7 +28,10 @@ def noting():
     listed = bpy.app.handlers.depsgraph_update_post
     listed.append(handlers.note_changes)
     watch.forget()
+    LISTED.is_told = True
     yield
+    LISTED.is_told = False
+    LISTED.forget()
     listed.remove(handlers.note_changes)
     watch.forget()
 
@@ -283,6 +288,28 @@ def test_the_picked_stroke_stays_picked_when_objects_come_and_go() -> None:
     assert not picked.hold(scene)
     assert objects[settings.stroke_index].name == "Along"
     picked.forget()
+
+
+def test_the_list_of_strokes_is_scanned_once_and_always_true(noting) -> None:
+    plate, _ = small_scene()
+    scene = bpy.context.scene
+    update()
+
+    def listed() -> list[str]:
+        return [obj.name for obj in strokes_of(scene)]
+
+    assert listed() == ["Along"]
+    held = dict(LISTED._places)
+    assert listed() == ["Along"]
+    assert LISTED._places == held
+    beside = line_stroke("Beside", surface=plate)
+    assert set(listed()) == {"Along", "Beside"}
+    beside.hnf_stroke.is_stroke = False  # of which Blender tells nothing
+    assert listed() == ["Along"]
+    bpy.data.objects.remove(bpy.data.objects["Along"])
+    assert listed() == []
+    beside.hnf_stroke.is_stroke = True
+    assert listed() == ["Beside"]
 
 
 def test_edit_mode_is_waited_for(noting) -> None:
