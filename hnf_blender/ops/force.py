@@ -153,6 +153,10 @@ class HNF_OT_force_graph(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
         stroke = active_stroke(context)
         try:
             area = graph_area(context)
+        except HnfError as error:
+            self.report({"WARNING"}, one_line(error))
+            return {"CANCELLED"}
+        try:
             ensure_force_keys(stroke, context.scene, metres_of(context.scene))
         except HnfError as error:
             self.report({"ERROR"}, one_line(error))
