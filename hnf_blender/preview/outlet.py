@@ -15,6 +15,7 @@ from hnf_core.signal import Signal
 from ..props.export_formats import CHOICE_OF
 from ..props.scene import actuator_of
 from ..state.session import STATE, Freshness
+from .companions import companions, mark
 from .facts import PREVIEW
 from .monitor import monitor_factor
 
@@ -22,9 +23,6 @@ if TYPE_CHECKING:
     from hnf_core.export.convert import Exported
     from hnf_core.export.formats import Format
     from hnf_core.export.options import ExportOptions
-
-STROKE_PROPERTY = "hnf_stroke_name"
-"""On strips and speakers: the stroke they sound like, so that adding again replaces."""
 
 
 def true_signal(obj: Any, context: Any) -> Signal:
@@ -129,7 +127,7 @@ def add_strip(obj: Any, context: Any) -> Any:
     path, scene = export_of(obj, context, "wav").path, context.scene
     editor = scene.sequence_editor or scene.sequence_editor_create()
     strips = sequencer_strips(editor)
-    earlier = [strip for strip in strips if strip.get(STROKE_PROPERTY) == obj.name]
+    earlier = companions(obj, scene, strips)
     above = max((int(strip.channel) for strip in strips), default=0) + 1
     sound_path = bpy.path.relpath(str(path)) if scene.hnf.export_folder.startswith("//") else str(path)
     frame = round(float(obj.hnf_stroke.start))
@@ -145,7 +143,7 @@ def add_strip(obj: Any, context: Any) -> Any:
     for each in earlier:
         strips.remove(each)
     strip.channel, strip.name = channel, obj.name
-    strip[STROKE_PROPERTY] = obj.name
+    mark(strip, obj, scene)
     strip.volume = monitor_factor(scene.hnf.monitor_gain_db)
     show_in_sequencer(getattr(context, "workspace", None), scene)
     return strip
@@ -170,13 +168,13 @@ def add_speaker_of(obj: Any, context: Any) -> Any:
         write_bytes(path, wav_bytes(signal, where=f"stroke '{obj.name}'"))
         sound = bpy.data.sounds.load(str(path), check_existing=False)
         sound.pack()
-    for other in [each for each in scene.objects if each.get(STROKE_PROPERTY) == obj.name and each.type == "SPEAKER"]:
+    for other in companions(obj, scene, [each for each in scene.objects if each.type == "SPEAKER"]):
         data = other.data
         bpy.data.objects.remove(other)
         if data.users == 0:
             bpy.data.speakers.remove(data)
     surface = scene.objects.get(STATE.strokes[obj.name].object_name)
     speaker = add_speaker(sound, f"{obj.name} speaker", tuple(place), float(obj.hnf_stroke.start), surface)
-    speaker[STROKE_PROPERTY] = obj.name
+    mark(speaker, obj, scene)
     speaker.data.volume = min(monitor_factor(scene.hnf.monitor_gain_db), 1.0)
     return speaker

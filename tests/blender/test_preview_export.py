@@ -8,6 +8,7 @@ import bpy
 from job_scene import small_scene
 from touch_scene import save_scene, set_keys, touch
 
+from hnf_blender.preview.companions import ID_PROPERTY, companions, mark
 from hnf_blender.preview.facts import PREVIEW
 from hnf_blender.state.session import STATE, Freshness
 from hnf_blender.state.watch import refresh_status
@@ -45,3 +46,20 @@ def test_the_exported_wav_is_that_of_the_command_line(warm_bake, tmp_path) -> No
     assert second.keys() == first.keys()
     assert second != first
     assert second == touched(tmp_path, warm_bake, "second")
+
+
+def test_a_strip_is_found_again_by_its_stroke_whatever_both_are_called() -> None:
+    """Renamed, and its name given to another; duplicated with its identity; marked before there were identities."""
+    small_scene()
+    scene, own = bpy.context.scene, bpy.data.objects["Along"]
+    strips = [bpy.data.objects.new(f"strip {k}", None) for k in range(2)]  # what has properties can be marked
+    strips[1]["hnf_stroke_name"] = "Along"
+    assert companions(own, scene, strips) == [strips[1]]
+    mark(strips[0], own, scene)
+    twin = own.copy()
+    scene.collection.objects.link(twin)
+    assert (companions(own, scene, strips[:1]), companions(twin, scene, strips[:1])) == (strips[:1], [])
+    mark(strips[1], twin, scene)
+    own.name, twin.name = "Renamed", "Along"
+    assert twin[ID_PROPERTY] != own[ID_PROPERTY]
+    assert (companions(own, scene, strips), companions(twin, scene, strips)) == (strips[:1], strips[1:])
