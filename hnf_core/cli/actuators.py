@@ -30,6 +30,7 @@ from ..errors import UsageError
 from ..export.wav import read_wav, write_wav
 from ..field.carriers import MODEL_RATE_HZ
 from ..signal import Signal
+from .seed import seed_of
 from .verbs import HELP
 
 LOW_HZ, HIGH_HZ, SECONDS = 10.0, 1000.0, 8.0
@@ -111,7 +112,7 @@ def _excitation_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--high", type=float, default=HIGH_HZ, metavar="HZ", help=f"to (default {HIGH_HZ:g})")
     parser.add_argument("--level", type=float, default=LEVEL, metavar="SHARE", help=f"of full scale (default {LEVEL})")
     parser.add_argument("--rate", type=float, default=RATE_HZ, metavar="HZ", help=f"sample rate (default {RATE_HZ:g})")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the noise")
+    parser.add_argument("--seed", type=seed_of, default=0, metavar="N", help="of the noise")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 

@@ -29,6 +29,7 @@ from ..material.library import find
 from ..material.material import LibraryMaterial
 from ..material.mechanics import PROBES
 from ..material.token import split_encoders
+from .seed import seed_of
 from .synth_long import LONG_S, Written, write_long
 from .verbs import HELP
 
@@ -62,7 +63,9 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         help=f"evaluate the field where the stroke asks for it, to within {LOOSEST_DB:g} to {TIGHTEST_DB:g} dB of the "
         "model taken literally (default: 200 times a second, whatever that gives)",
     )  # fmt: skip
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="another seed, another draw of the same touch")
+    parser.add_argument(
+        "--seed", type=seed_of, default=0, metavar="N", help="another seed, another draw of the same touch"
+    )
     parser.add_argument("--probe", choices=sorted(PROBES), default="pen", help="what touches (default pen)")
     parser.add_argument("--out", type=Path, required=True, metavar="X.wav", help="file to write")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")

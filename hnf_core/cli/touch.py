@@ -11,6 +11,7 @@ from ..action.primitives import PRIMITIVES, Primitive
 from ..action.words import primitive_of
 from ..errors import UsageError
 from .probe import ProbePlace, probe_place
+from .seed import seed_of
 from .verbs import HELP
 
 
@@ -91,7 +92,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         "hnf train encoder; default: band-descriptor-1",
     )  # fmt: skip
     parser.add_argument("--scale", type=float, metavar="METRES_PER_UNIT", help="length of one scene unit in metres")
-    parser.add_argument("--seed", type=int, metavar="N", help="seed of all strokes; default: each stroke's own")
+    parser.add_argument("--seed", type=seed_of, metavar="N", help="seed of all strokes; default: each stroke's own")
     parser.add_argument("--plan", action="store_true", help="say what would be done, skipped and why; do nothing")
     parser.add_argument("--json", action="store_true", help="print the report (or the plan) as JSON")
     return parser
@@ -106,8 +107,6 @@ def request_from(arguments: argparse.Namespace) -> TouchRequest:
         )
     if arguments.scale is not None and not 0.0 < arguments.scale < float("inf"):
         raise UsageError("--scale must be a positive number of metres per unit.", remedy="Example: --scale 0.01")
-    if arguments.seed is not None and not 0 <= arguments.seed < 2**63:
-        raise UsageError("--seed must be a whole number from 0 to 2^63 − 1.")
     return TouchRequest(
         scene=arguments.scene,
         out=arguments.out,

@@ -29,6 +29,7 @@ HEADER = "time_s,acceleration_m_s2"
 LARGEST_BYTES = 2**29
 ROW_BYTES = 40
 """At most: a time of up to nine digits before the point and twelve after it, and a float32."""
+SLOWEST_HZ, FASTEST_HZ = 1e-3, 1e9
 UNEVEN = 0.1
 """Of a sample's time: more than this off its place, and times are not even. Tables round their times."""
 
@@ -75,10 +76,16 @@ def read_csv(path: Path, options: ImportOptions) -> Signal:
 
 def _rate(time: NDArray[np.float64], path: Path) -> float:
     """Hz, a whole number where rounded times allow it."""
-    span = time[-1] - time[0]
+    with np.errstate(over="ignore"):
+        span = time[-1] - time[0]
     if not span > 0.0:
         raise FileError("its times do not rise.", where=str(path), remedy="Sort the rows by time_s.")
-    rate = (len(time) - 1) / span
+    with np.errstate(over="ignore"):
+        rate = (len(time) - 1) / span
+    if not SLOWEST_HZ <= rate <= FASTEST_HZ:
+        raise FileError(
+            f"its times are {span / (len(time) - 1):g} s apart.", where=str(path), remedy="Give times in seconds."
+        )
     if np.abs((time - time[0]) * rate - np.arange(len(time))).max() > UNEVEN:
         raise FileError("its times are not even.", where=str(path), remedy="Resample it to even times.")
     whole = float(round(rate))
@@ -114,7 +121,12 @@ def read_npz(path: Path, options: ImportOptions) -> Signal:
         samples, rate = found["samples"], float(found["sample_rate_hz"])
         seed, record = int(str(found["seed"])), json.loads(str(found["origin"]))
         facts = {str(name): str(value) for name, value in record["provenance"].items()}
-        sound = samples.ndim == 1 and samples.dtype == np.float32 and np.isfinite(samples).all() and 0.0 < rate < 1e9
+        sound = (
+            samples.ndim == 1
+            and samples.dtype == np.float32
+            and np.isfinite(samples).all()
+            and 0.0 < rate <= FASTEST_HZ
+        )
     except (zipfile.BadZipFile, ValueError, KeyError, TypeError, AttributeError, EOFError, NotImplementedError,
             RuntimeError, RecursionError, OSError) as error:  # fmt: skip
         raise FileError(f"is no archive of a signal ({error}).", where=str(path), remedy=AGAIN) from error

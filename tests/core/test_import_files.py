@@ -175,6 +175,14 @@ def test_a_table_of_another_laboratory(tmp_path: Path) -> None:
     assert (signal.sample_rate, signal.seed, signal.samples[3999]) == (3000.0, 5, 3999.0)
 
 
+@pytest.mark.parametrize(("first", "last"), [("0", "1e-320"), ("0", "1e-10"), ("0", "1e300"), ("-1.7e308", "1.7e308")])
+def test_times_that_are_no_rate_are_refused_in_words(first: str, last: str, tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    path.write_text(f"time_s,acceleration_m_s2\n{first},1\n{last},2\n")
+    with pytest.raises(FileError, match=r"s apart\. Give times in seconds"):
+        import_signal(path, ImportOptions())
+
+
 def test_a_sidecar_of_other_bytes_is_not_believed(tmp_path: Path) -> None:
     path = tmp_path / "x.csv"
     path.write_text("time_s,acceleration_m_s2\n0,1\n0.1,2\n")

@@ -1,0 +1,14 @@
+"""--seed of the verbs that feel strokes."""
+
+from __future__ import annotations
+
+from ..errors import UsageError
+
+SEEDS = 2**63
+
+
+def seed_of(text: str) -> int:
+    """For argparse. Raises UsageError for what is no whole number from 0 to SEEDS − 1."""
+    if not (text.isascii() and text.isdigit() and len(text) < 20 and int(text) < SEEDS):
+        raise UsageError(f"--seed {text[:40]}: not a whole number from 0 to 2^63 − 1.", remedy="Give e.g. 0.")
+    return int(text)
