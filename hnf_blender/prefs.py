@@ -43,7 +43,7 @@ class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy h
     )
     output: bpy.props.StringProperty(
         name="Output",
-        description="Where strokes are played on this machine, as hnf stream takes it; empty: Blender's own sound. "
+        description="Address of the device that strokes are played on, on this machine; empty: Blender's own sound. "
         "Choose it in the Actuator panel",
         default=Settings.output,
     )

@@ -41,7 +41,7 @@ class Process:
             raise DeviceError(
                 f"the player's process could not be started ({error.strerror}).",
                 where=command[0],
-                remedy="Choose Speakers as the output, or play the exported WAV with hnf stream.",
+                remedy="Choose Speakers as the output, or export the WAV and play it elsewhere.",
             ) from error
         self._out: queue.SimpleQueue[tuple[str, Callable[[], None] | None] | None] = queue.SimpleQueue()
         self._said: queue.SimpleQueue[str] = queue.SimpleQueue()

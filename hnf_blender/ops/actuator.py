@@ -32,7 +32,7 @@ class HNF_OT_output_choose(bpy.types.Operator):  # type: ignore[misc]  # noqa: N
     bl_description = "Strokes are played on this device, on this machine. The choice is kept in the preferences"
 
     target: bpy.props.StringProperty(
-        name="Target", description="As hnf stream takes it; empty: Blender's own sound", options={"SKIP_SAVE"}
+        name="Target", description="Address of the device; empty: Blender's own sound", options={"SKIP_SAVE"}
     )
 
     def execute(self, _context: Any) -> set[str]:
@@ -55,7 +55,7 @@ class HNF_OT_output_other(bpy.types.Operator):  # type: ignore[misc]  # noqa: N8
 
     target: bpy.props.StringProperty(
         name="Target",
-        description="As hnf stream takes it: serial:PORT, serial:PORT@BAUD, audio:DEVICE, osc:HOST:PORT or virtual",
+        description="Address of the device: serial:PORT, serial:PORT@BAUD, audio:DEVICE, osc:HOST:PORT or virtual",
         default="osc:127.0.0.1:9000",
     )
 

@@ -39,7 +39,7 @@ def _read(path: str, _changed: int) -> ActuatorProfile:
 
     try:
         if not path.lower().endswith(".json"):
-            raise FileError("no profile is chosen.", remedy="Choose a .json file, as hnf actuators measure writes it.")
+            raise FileError("no profile is chosen.", remedy="Choose the .json file that measuring your actuator gave.")
         return replace(read_profile(Path(path)), name=path, response=None)
     except HnfError as error:
         return ActuatorProfile(path, Path(path).name or tr("Measured actuator"), str(error))

@@ -53,7 +53,7 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
         items=[
             *((name, profile.title, profile.source) for name, profile in PROFILES.items()),
             (OWN, "My actuator", "A device of your own: enter what its data sheet says"),
-            (FILE, "Measured actuator", "A profile in a file, such as hnf actuators measure writes"),
+            (FILE, "Measured actuator", "A profile in a .json file, made by measuring your actuator"),
         ],
         default=GENERIC.name,
         override=OVERRIDABLE,

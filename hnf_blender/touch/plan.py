@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 
 from hnf_core.tactile.tactile_map import Route
 
+from .options import with_option
 from .report import Failed, Skipped
 
 CLOSEUP_SECONDS, PREDICTION_SECONDS, PICTURE_SECONDS, SYNTHESIS_SECONDS = 0.7, 0.1, 2.5, 0.5
@@ -128,7 +129,7 @@ class Plan:
         lines += ["Fresh:", *(f"  {entry.stroke}: {entry.wav}" for entry in self.fresh)] if self.fresh else []
         lines += ["Skipped:", *_bullets(self.skipped)] if self.skipped else []
         lines += ["Cannot be done:", *(f"  {entry.why}" for entry in self.failed)] if self.failed else []
-        lines += ["Notes:", *(f"  {note}" for note in self.notes)] if self.notes else []
+        lines += ["Notes:", *(f"  {with_option(note)}" for note in self.notes)] if self.notes else []
         return "\n".join(lines) or "Nothing to do."
 
 

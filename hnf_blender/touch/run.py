@@ -21,6 +21,7 @@ from ..bridge.importers import metres_per_unit, open_scene
 from .deliver import deliver, save_baked
 from .feel import BakedStroke, feel
 from .jobs import Gathered, Job, Session, gather
+from .options import with_option
 from .outside import outside_files
 from .plan import TYPICAL_PATH_M, Fresh, Needed, Plan, patches_at_most
 from .probe_report import probe_line
@@ -229,7 +230,7 @@ def _tell(report: Report, request: TouchRequest) -> int:
         print(f"{counts.renders} renders, {counts.rays} rays, {counts.network_calls} network calls, "
               f"{counts.diffusion_calls} reliefs estimated; report: {request.out / 'report.json'}")  # fmt: skip
     for warning in report.warnings:
-        print(f"note: {warning}", file=sys.stderr)
+        print(f"note: {with_option(warning)}", file=sys.stderr)
     for failed in report.failed:
         print(f"hnf: {failed.why}", file=sys.stderr)
     return 1 if report.failed else 0

@@ -318,7 +318,7 @@ def test_a_relief_no_surface_has_is_noted_once(tmp_path, height, unusual) -> Non
     assert len(notes) == int(unusual)
 
 
-def test_the_scale_is_reported_and_can_be_given(tmp_path) -> None:
+def test_the_scale_is_reported_and_can_be_given(tmp_path, capsys) -> None:
     ridge_plate(height=6e-3, size=12.0)
     scene = save_scene(tmp_path / "centimetres.blend")
     code, report = touch(scene, tmp_path / "out", "--scale", "0.01", "--stroke", "left-right-soft", "--on", PLATE)
@@ -327,7 +327,10 @@ def test_the_scale_is_reported_and_can_be_given(tmp_path) -> None:
     assert report["strokes"][0]["height_peak_to_peak_m"] == pytest.approx(60e-6, rel=0.05)
     _, report = touch(scene, tmp_path / "metres", "--stroke", "left-right-soft", "--on", PLATE)
     assert (report["metres_per_unit"], report["scale_source"]) == (1.0, "the scene's units")
-    assert any("17 m across" in warning for warning in report["warnings"])
+    (large,) = [warning for warning in report["warnings"] if "17 m across" in warning]
+    assert "Units in the Touch tab" in large
+    assert "--scale" not in large  # it is read in a panel, too
+    assert f"note: {large} Here: --scale METRES_PER_UNIT.\n" in capsys.readouterr().err
 
 
 def test_modifiers_and_shared_meshes_keep_their_tokens(tmp_path) -> None:
