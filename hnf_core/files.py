@@ -12,8 +12,20 @@ from pathlib import Path
 from .errors import FileError
 
 
+def _umask() -> int:
+    # It can only be read by setting it; what another thread makes meanwhile is its owner's alone.
+    mask = os.umask(0o077)
+    os.umask(mask)
+    return mask
+
+
+_UMASK = _umask()
+FILE_MODE, FOLDER_MODE = 0o666 & ~_UMASK, 0o777 & ~_UMASK
+"""Of new files and folders, as the person's umask was at start: what is made under a temporary name is private."""
+
+
 def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
-    """Call write(temporary) and rename the result onto path; on any failure path stays as it was.
+    """Call write(temporary) and rename the result onto path, whose mode stays; on any failure path stays as it was.
 
     Raises FileError when the folder or the disk refuses.
     """
@@ -32,7 +44,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
     temporary = Path(name)
     try:
         write(temporary)
-        temporary.chmod(path.stat().st_mode & 0o777 if path.is_file() else 0o644)
+        temporary.chmod(path.stat().st_mode & 0o777 if path.is_file() else FILE_MODE)
         with temporary.open("rb+") as stream:
             os.fsync(stream.fileno())
         os.replace(temporary, path)

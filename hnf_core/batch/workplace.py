@@ -19,13 +19,13 @@ from pathlib import Path
 from typing import IO
 
 from ..errors import FileError
+from ..files import FOLDER_MODE
 from .job import RECORD_NAME
 from .record import CACHE_NAME, holds, is_ours, read_record
 
 MARKER_NAME = ".attempt"
 PART, OLD = ".part", ".old"
 CHECKPOINTS = "*checkpoint"
-MODE = 0o755
 DYING_S = 5.0
 """How long the child of a killed worker may take to see that it is alone."""
 
@@ -45,7 +45,7 @@ def part_folder(folder: Path, name: str, marker: Marker) -> Iterator[tuple[Path,
     with, unless it is finished. Raises FileError where the disk refuses."""
     try:
         part = Path(tempfile.mkdtemp(prefix=f".{name}~", suffix=PART, dir=folder))
-        part.chmod(MODE)
+        part.chmod(FOLDER_MODE)
         stream = (part / MARKER_NAME).open("w", encoding="utf-8")
     except OSError as error:
         raise _refused(folder, error) from error

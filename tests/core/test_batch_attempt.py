@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
 import sys
 import threading
 from dataclasses import replace
@@ -327,6 +328,25 @@ def test_only_what_a_batch_made_is_replaced(folder: Path) -> None:
         with pytest.raises(FileError):
             publish(part, folder / "b")
     assert not (folder / "b").exists()
+
+
+MODES = """import sys
+from pathlib import Path
+from hnf_core.batch.workplace import Marker, part_folder
+from hnf_core.files import write_text
+with part_folder(Path(sys.argv[1]), "a", Marker("r", "w", ())) as (part, _):
+    write_text(part / "new", "")
+    write_text(Path(sys.argv[1], "old"), "")
+    print(*(oct(path.stat().st_mode & 0o777) for path in (part, part / "new", Path(sys.argv[1], "old"))))
+"""
+
+
+def test_new_results_are_for_whom_the_persons_umask_says(tmp_path: Path) -> None:
+    (tmp_path / "old").touch()
+    (tmp_path / "old").chmod(0o604)
+    words = [sys.executable, "-c", MODES, str(tmp_path)]
+    told = subprocess.run(words, cwd=child.ROOT, umask=0o027, check=True, capture_output=True, text=True)
+    assert told.stdout.split() == ["0o750", "0o640", "0o604"]
 
 
 def test_files_that_a_scene_refers_to_are_inputs_too(folder: Path, tmp_path: Path) -> None:
