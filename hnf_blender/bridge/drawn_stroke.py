@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -52,16 +52,24 @@ def cast_on_surface(scene: Any, depsgraph: Any, viewport: Any, origin: Any, dire
 
     if any(is_cloud(obj) for obj in scene.objects):
         return _cast_on_each(scene, depsgraph, viewport, Vector(origin), Vector(direction))
+    for world, normal, face, obj, matrix in along_ray(scene, depsgraph, origin, direction):
+        if _is_surface(obj, matrix, scene, depsgraph, viewport):
+            return Hit(obj, np.array(matrix.inverted_safe() @ world), np.array(world), np.array(normal), int(face))
+    return None
+
+
+def along_ray(scene: Any, depsgraph: Any, origin: Any, direction: Any) -> Iterator[tuple[Any, Any, int, Any, Any]]:
+    """(place, normal, face, object, its matrix there) of what Blender's own ray meets, the nearest first, LAYERS of
+    them at most; instances and whatever else it stops at."""
+    from mathutils import Vector
+
     start = Vector(origin)
     for _ in range(LAYERS):
         found, world, normal, face, met, matrix = scene.ray_cast(depsgraph, start, direction)
         if not found:
-            return None
-        obj = met.original
-        if _is_surface(obj, matrix, scene, depsgraph, viewport):
-            return Hit(obj, np.array(matrix.inverted_safe() @ world), np.array(world), np.array(normal), int(face))
+            return
+        yield world, normal, face, met.original, matrix
         start = world + direction * max((world - Vector(origin)).length * STEP_BEHIND, 1e-7)
-    return None
 
 
 def _cast_on_each(scene: Any, depsgraph: Any, viewport: Any, origin: Any, direction: Any) -> Hit | None:

@@ -64,15 +64,17 @@ class HNF_OT_probe(ModalJob, bpy.types.Operator):  # type: ignore[misc]  # noqa:
 
     def _aim(self, context: Any, event: Any) -> set[str]:
         """Wait for the click; the view can be turned meanwhile, and other editors used."""
-        from ..tool.pen import gives_up, region_under
+        from ..tool.pen import gives_up, region_under, why_untouched
 
         if gives_up(context, event):
             return self.end(context, None)
-        if event.type != "LEFTMOUSE" or event.value != "PRESS" or region_under(context, event) is None:
+        region = region_under(context, event)
+        if event.type != "LEFTMOUSE" or event.value != "PRESS" or region is None:
             return {"PASS_THROUGH"}
         place = clicked_place(context, event)
         if place is None:
-            self.report({"INFO"}, tr("There is no surface under the mouse"))
+            why = why_untouched(context, region, (event.mouse_x - region.x, event.mouse_y - region.y))
+            self.report({"INFO"}, why or tr("There is no surface under the mouse"))
             return {"RUNNING_MODAL"}
         context.window.cursor_modal_restore()
         return {"RUNNING_MODAL"} if self._begin(context, place) else self.end(context, None)

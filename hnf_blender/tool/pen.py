@@ -90,6 +90,7 @@ class Pen:
         x, y = event.mouse_x - self._region.x, event.mouse_y - self._region.y
         hit = self._cast(context, x, y)
         if hit is None:
+            self.why_not = why_untouched(context, self._region, (x, y)) or self.why_not
             return False
         if hit.obj.hide_render:
             said = tr("'{name}' is hidden in renders, and what is touched is rendered")
@@ -250,3 +251,25 @@ def surface_under(context: Any, area: Any, region: Any, at: tuple[float, float])
         view3d_utils.region_2d_to_origin_3d(region, region.data, at),
         view3d_utils.region_2d_to_vector_3d(region, region.data, at),
     )
+
+
+def why_untouched(context: Any, region: Any, at: tuple[float, float]) -> str:
+    """Why what is seen at a place of a region of a 3-D view, in its pixels, is no surface, and what to do; "" where
+    nothing is seen there."""
+    from bpy_extras import view3d_utils
+
+    from ..bridge.untouchable import untouchable_seen
+
+    seen = untouchable_seen(
+        context.scene,
+        context.evaluated_depsgraph_get(),
+        view3d_utils.region_2d_to_origin_3d(region, region.data, at),
+        view3d_utils.region_2d_to_vector_3d(region, region.data, at),
+    )
+    if seen is None:
+        return ""
+    if seen.is_instance:
+        said = tr("'{name}' shows instances: select it, Object > Apply > Make Instances Real, then press again")
+    else:
+        said = tr("'{name}' is no mesh yet: select it, Object > Convert > Mesh, then press again")
+    return said.format(name=seen.name)

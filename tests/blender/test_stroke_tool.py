@@ -282,6 +282,28 @@ def press(pen, desk, x, y, **how):
     return pen.press(desk.context, desk.event(x, y, **how), desk.region)
 
 
+def test_what_is_seen_and_no_surface_is_named_with_a_way_out(pen, desk):
+    group = bpy.data.collections.new("Group")
+    lid = add_plane("Lid", z=0.1)
+    bpy.context.scene.collection.objects.unlink(lid)
+    group.objects.link(lid)
+    empty = bpy.data.objects.new("Asset", None)
+    empty.instance_type, empty.instance_collection = "COLLECTION", group
+    bpy.context.scene.collection.objects.link(empty)
+    bpy.context.view_layer.update()
+    assert not press(pen, desk, 100, 100)
+    assert pen.why_not.startswith("'Asset' shows instances")
+    empty.hide_viewport = True
+    line = bpy.data.curves.new("Line", "CURVE")
+    line.bevel_depth = 0.02
+    line.splines.new("POLY").points.add(1)
+    line.splines[0].points[1].co = (0.05, 0.0, 0.0, 1.0)
+    bpy.context.scene.collection.objects.link(bpy.data.objects.new("Hose", line))
+    bpy.context.view_layer.update()
+    assert not press(pen, desk, 110, 100)
+    assert pen.why_not.startswith("'Hose' is no mesh yet")
+
+
 def test_the_pen_follows_the_surface_and_knows_where_it_leaves_it(pen, desk):
     add_plane("Cloth")
     assert not press(pen, desk, 10, 100)
