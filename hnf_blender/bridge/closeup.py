@@ -19,7 +19,7 @@ from hnf_core.scene.near import mesh_near
 from hnf_core.scene.patch import CAMERA_DISTANCE_M, Patch
 from hnf_core.scene.raycast import CastView, RayCaster, cast_view
 from hnf_core.scene.view import RgbdView
-from hnf_core.tactile.height import fill_masked, integrate_gradients
+from hnf_core.tactile.height import height_from_slopes
 
 from .appearance import Layers, average_appearance, closures, mixed, shading_value
 from .look import Look, look_of
@@ -344,8 +344,7 @@ def _integrated(seen: _Seen, layers: Layers, mask: Mask, notes: list[str]) -> Fl
             f"material '{seen.slot.material}': its normal map looks like a DirectX one (green points down); "
             "invert its green channel."
         )
-    gx, gy = (fill_masked(slope - slope[valid].mean(), valid) for slope in (gx, gy))
-    return integrate_gradients(gx, gy, seen.pixel_m)
+    return height_from_slopes(gx, gy, valid, seen.pixel_m)
 
 
 def _slope(seen: _Seen, micro: MicroGeometry, axis: int) -> Float:

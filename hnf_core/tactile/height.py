@@ -1,4 +1,4 @@
-"""From what a shader says of a patch (heights, normals) to a tactile map that claims no more than its source."""
+"""From what a shader says of a patch (heights, slopes) to a tactile map that claims no more than its source."""
 
 from __future__ import annotations
 
@@ -13,13 +13,10 @@ from .spectral import filtered, frequencies, plane_image, plane_of
 from .tactile_map import HeightMap, Route, TactileMap
 
 Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 ROLL_OFF = 0.75
 """The low-pass keeps every wavelength ≥ λ, drops everything below 0.75 λ, and falls as a raised cosine between:
 the texel rate λ/2 and its images are gone, and edges do not ring as with a sharp cut."""
-MAX_NORMAL_SLOPE = 3.0
-"""Normals steeper than this (72°) are taken at this slope; below it a normal map holds micro-geometry, above, noise."""
 FINEST_PIXEL_M, COARSEST_PIXEL_M = 1e-9, 1e3
 """Atoms, and landscapes: a map of other pixels has another unit."""
 HIGHEST_M = 1e6
@@ -149,38 +146,23 @@ def _enlarge(small: Float, shape: tuple[int, int]) -> Float:
     return small
 
 
-def gradients_from_normals(normal: ArrayLike, mask: ArrayLike | None = None) -> tuple[Float, Float, Mask]:
-    """Slopes (∂h/∂x, ∂h/∂y) of normals (H, W, 3) in the patch frame (+z away from the surface), and where they hold.
-
-    Length does not matter; zero, downward or non-finite normals, and pixels outside mask, are marked False and get
-    slope 0. Slopes are limited to MAX_NORMAL_SLOPE.
-    """
-    n = np.asarray(normal, dtype=np.float64)
-    seen = np.isfinite(n).all(axis=-1) & (np.nan_to_num(n[..., 2]) > 0)
-    if mask is not None:
-        seen &= np.asarray(mask, dtype=bool)
-    n = np.where(seen[..., None], n, np.array([0.0, 0.0, 1.0]))
-    gx, gy = -n[..., 0] / n[..., 2], -n[..., 1] / n[..., 2]
-    scale = np.minimum(1.0, MAX_NORMAL_SLOPE / np.maximum(np.hypot(gx, gy), 1e-30))
-    return gx * scale, gy * scale, seen
-
-
-def height_from_normals(normal: ArrayLike, mask: ArrayLike | None, metres_per_pixel: float) -> Float:
-    """(H, W) height in metres whose slopes are those of the normals (H, W, 3) in the patch frame.
+def height_from_slopes(gx: ArrayLike, gy: ArrayLike, seen: ArrayLike, metres_per_pixel: float) -> Float:
+    """(H, W) height in metres whose slopes ∂h/∂x, ∂h/∂y (H, W), y up, are these where seen (H, W) bool.
 
     Integration after Frankot & Chellappa (1988) on the mirrored patch, so that opposite edges need not meet.
     Unseen pixels get smoothly filled slopes. High-passed at the patch size (the mean slope is the surface's own
-    tilt, not texture): nothing longer than the patch's side comes back. Raises SceneError where no normal holds,
+    tilt, not texture): nothing longer than the patch's side comes back. Raises SceneError where nothing is seen,
     UsageError on pixels that do not fit.
     """
     _require_pixel(metres_per_pixel)
-    gx, gy, seen = gradients_from_normals(normal, mask)
-    if not seen.any():
+    where = np.asarray(seen, dtype=bool)
+    if not where.any():
         raise SceneError(
             "no pixel of this patch has a usable normal.", remedy="Check the normal map and the face orientation."
         )
-    gx, gy = (fill_masked(g, seen) for g in (gx, gy))
-    return integrate_gradients(gx - gx[seen].mean(), gy - gy[seen].mean(), metres_per_pixel)
+    slopes = (np.asarray(slope, dtype=np.float64) for slope in (gx, gy))
+    level_x, level_y = (fill_masked(slope - slope[where].mean(), where) for slope in slopes)
+    return integrate_gradients(level_x, level_y, metres_per_pixel)
 
 
 def _require_pixel(metres_per_pixel: float) -> None:

@@ -9,8 +9,7 @@ from hnf_core.errors import MaterialError, SceneError, UsageError
 from hnf_core.tactile.height import (
     ROLL_OFF,
     fill_masked,
-    gradients_from_normals,
-    height_from_normals,
+    height_from_slopes,
     integrate_gradients,
     low_pass,
     remove_plane,
@@ -24,6 +23,7 @@ from hnf_core.tactile.tactile_map import Route
 SIZE, PITCH = 128, 50e-6
 AXIS = (np.arange(SIZE) + 0.5 - SIZE / 2) * PITCH
 X, Y = np.meshgrid(AXIS, -AXIS)
+EVERYWHERE = np.ones((SIZE, SIZE), dtype=bool)
 angles = st.floats(0, 2 * np.pi)
 
 
@@ -100,12 +100,10 @@ def without_long_waves(height: np.ndarray) -> np.ndarray:
 
 @given(st.floats(0.4e-3, 2e-3), angles, angles)
 @settings(max_examples=20, deadline=None)
-def test_normals_integrate_to_the_height_they_came_from(pitch, angle, phase):
+def test_slopes_integrate_to_the_height_they_came_from(pitch, angle, phase):
     amplitude, k = 0.02 * pitch, 2 * np.pi / pitch
     slope = amplitude * k * np.cos(k * (X * np.cos(angle) + Y * np.sin(angle)) + phase)
-    normal = np.stack([-slope * np.cos(angle), -slope * np.sin(angle), np.ones_like(slope)], axis=-1)
-    normal *= np.random.default_rng(0).uniform(0.5, 2.0, (SIZE, SIZE, 1))
-    height = height_from_normals(normal, None, PITCH)
+    height = height_from_slopes(slope * np.cos(angle), slope * np.sin(angle), EVERYWHERE, PITCH)
     texture = amplitude * wave(pitch, angle, phase)
     expected = without_long_waves(texture - slope.mean() * (X * np.cos(angle) + Y * np.sin(angle)))
     assert expected.std() > 0.5 * texture.std()
@@ -115,8 +113,8 @@ def test_normals_integrate_to_the_height_they_came_from(pitch, angle, phase):
 @given(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
 @settings(max_examples=10, deadline=None)
 def test_a_tilted_patch_has_no_texture(a, b):
-    normal = np.broadcast_to(np.array([-a, -b, 1.0]), (SIZE, SIZE, 3))
-    np.testing.assert_allclose(height_from_normals(normal, None, PITCH), 0.0, atol=1e-12)
+    slopes = (np.full((SIZE, SIZE), slope) for slope in (a, b))
+    np.testing.assert_allclose(height_from_slopes(*slopes, EVERYWHERE, PITCH), 0.0, atol=1e-12)
 
 
 def test_integration_keeps_nothing_longer_than_the_patch():
@@ -125,16 +123,13 @@ def test_integration_keeps_nothing_longer_than_the_patch():
     assert height.std() < 0.35 * ramp.std()
 
 
-def test_unusable_normals_are_marked_and_filled():
-    normal = np.broadcast_to(np.array([0.1, -0.2, 1.0]), (16, 16, 3)).copy()
-    normal[0, 0], normal[1, 1], normal[2, 2] = 0.0, np.nan, [0.0, 0.0, -1.0]
-    gx, gy, seen = gradients_from_normals(normal)
-    assert (~seen).sum() == 3
-    np.testing.assert_allclose(gx[seen], -0.1)
-    np.testing.assert_allclose(gy[seen], 0.2)
-    np.testing.assert_allclose(height_from_normals(normal, None, PITCH), 0.0, atol=1e-12)
-    with pytest.raises(SceneError):
-        height_from_normals(np.zeros((16, 16, 3)), None, PITCH)
+def test_slopes_that_are_not_seen_are_filled():
+    seen = EVERYWHERE.copy()
+    seen[0, 0] = seen[1, 1] = False
+    gx, gy = np.where(seen, 0.1, np.nan), np.where(seen, -0.2, 7.0)
+    np.testing.assert_allclose(height_from_slopes(gx, gy, seen, PITCH), 0.0, atol=1e-12)
+    with pytest.raises(SceneError, match="normal"):
+        height_from_slopes(gx, gy, ~EVERYWHERE, PITCH)
 
 
 def test_a_map_is_level_says_what_it_resolves_and_never_more_than_its_pixels():
