@@ -7,8 +7,9 @@ import pytest
 from builders import add_plane
 from job_scene import PLATE, line_stroke, small_scene
 
-from hnf_blender import handlers
+from hnf_blender import handlers, preview
 from hnf_blender.jobs import running
+from hnf_blender.preview.facts import PREVIEW
 from hnf_blender.props.listed import LISTED
 from hnf_blender.props.scene import strokes_of
 from hnf_blender.state import picked, watch
@@ -214,6 +215,25 @@ def test_two_scenes_in_two_windows_keep_their_statuses(noting) -> None:
     STATE.dirty.add("There")
     watch.drain(shown)
     assert STATE.strokes.keys() == {"Along"}
+
+
+def test_the_active_stroke_of_a_second_windows_scene_is_heard_too() -> None:
+    plate, stroke = baked_scene()
+    second = bpy.data.scenes.new("Second")
+    second.collection.objects.link(plate)
+    second.collection.objects.link(stroke)
+    PREVIEW.clear()
+    preview._looked.clear()
+    try:
+        with bpy.context.temp_override(scene=second, view_layer=second.view_layers[0]):
+            preview._look(bpy.context, set(), ended=False, is_first=False)
+        assert "Along" in PREVIEW.asked
+        assert "Along" in PREVIEW.facts
+        assert set(preview._looked) == {"Second"}
+    finally:
+        PREVIEW.clear()
+        preview._looked.clear()
+        bpy.data.scenes.remove(second)
 
 
 def test_history_makes_everything_unknown(noting) -> None:

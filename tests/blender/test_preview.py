@@ -246,22 +246,6 @@ def test_the_stroke_at_hand_does_not_wait_for_the_others(stroke) -> None:
     assert {heard.signal.samples.tobytes() for heard in found.values()} == {samples_of(stroke)}
 
 
-def test_the_active_stroke_of_a_second_windows_scene_is_heard_too(stroke) -> None:
-    second = bpy.data.scenes.new("Second")
-    second.collection.objects.link(bpy.data.objects["Plate"])
-    second.collection.objects.link(stroke)
-    preview._looked.clear()
-    try:
-        with bpy.context.temp_override(scene=second, view_layer=second.view_layers[0]):
-            preview._look(bpy.context, set(), ended=False, is_first=False)
-        assert "Along" in PREVIEW.asked
-        assert "Along" in PREVIEW.facts
-        assert set(preview._looked) == {"Second"}
-    finally:
-        preview._looked.clear()
-        bpy.data.scenes.remove(second)
-
-
 def test_playing_without_a_device_says_so(stroke) -> None:
     """Here there is none (or no `aud` at all): a message, no error; the signal was made all the same."""
     assert bpy.ops.hnf.preview_play() in ({"CANCELLED"}, {"FINISHED"})
