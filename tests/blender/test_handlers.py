@@ -222,8 +222,7 @@ def test_the_active_stroke_of_a_second_windows_scene_is_heard_too() -> None:
     second = bpy.data.scenes.new("Second")
     second.collection.objects.link(plate)
     second.collection.objects.link(stroke)
-    PREVIEW.clear()
-    preview._looked.clear()
+    preview.enter_file()
     try:
         with bpy.context.temp_override(scene=second, view_layer=second.view_layers[0]):
             preview._look(bpy.context, set(), ended=False, is_first=False)
@@ -231,8 +230,7 @@ def test_the_active_stroke_of_a_second_windows_scene_is_heard_too() -> None:
         assert "Along" in PREVIEW.facts
         assert set(preview._looked) == {"Second"}
     finally:
-        PREVIEW.clear()
-        preview._looked.clear()
+        preview.enter_file()  # what is still being heard ends with it
         bpy.data.scenes.remove(second)
 
 
