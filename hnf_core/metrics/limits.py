@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .magnitudes import spectral_mse, window_magnitudes
+from .magnitudes import spectral_mse
 
 Float = NDArray[np.float64]
 
@@ -51,18 +51,9 @@ class Limits:
         return spectral_mse(magnitude, self.mean_magnitude) + self.best * (1.0 - 1.0 / self.realisations)
 
 
-def measure_limits(realisations: Sequence[ArrayLike]) -> Limits:
-    """Limits from signals of one stroke, equally long, each a new draw (seed, place on the surface) of the process.
-
-    Raises ValueError for fewer than REALISATIONS, or silent ones.
-    """
-    if len(realisations) < REALISATIONS:
-        raise ValueError(f"{len(realisations)} realisations tell too little of the limits: at least {REALISATIONS}.")
-    return limits_of([window_magnitudes(each) for each in realisations])
-
-
 def limits_of(magnitudes: Sequence[Float]) -> Limits:
-    """measure_limits, from the realisations' magnitudes (C, K) and for any number of them from 2."""
+    """Limits from the magnitudes (C, K) of signals of one stroke, equally long, each a new draw (seed, place on the
+    surface) of the process. Raises ValueError for fewer than two, or silent ones."""
     magnitude, count = np.stack(magnitudes), len(magnitudes)
     power = float(np.mean(np.square(magnitude)))
     if count < 2 or not power > 0.0:

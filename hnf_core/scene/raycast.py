@@ -41,12 +41,6 @@ class RayCaster(Protocol):
         ...
 
 
-class SurfaceQuery(Protocol):
-    def closest_points(self, points: ArrayLike) -> Closest:
-        """The nearest surface points of n points (n, 3)."""
-        ...
-
-
 @dataclass(frozen=True)
 class CastView:
     """What cast_view sees. depth: (H, W) float64 planar metres, inf = none. triangle, face_id: (H, W) int32,

@@ -72,12 +72,6 @@ def tactile_map_from_height(
     )
 
 
-def unresolved_tactile_map(shape: tuple[int, int], metres_per_pixel: float, sensor: str = "gelsight") -> TactileMap:
-    """The map of a patch of which no texture says anything: background colour, nothing resolved, prior route."""
-    image = np.broadcast_to(sensor_by_name(sensor).background.astype(np.float32), (*shape, 3)).copy()
-    return TactileMap(image, None, np.ones(shape, dtype=bool), metres_per_pixel, sensor, float("inf"), Route.PRIOR, "")
-
-
 def low_pass(height: ArrayLike, metres_per_pixel: float, wavelength_m: float) -> Float:
     """(H, W) height with the wavelengths below wavelength_m taken out (all but the mean plane where it is inf).
 

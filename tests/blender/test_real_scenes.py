@@ -12,7 +12,8 @@ import pytest
 from touch_scene import signals, spectrum_db, touch
 
 from hnf_blender.bridge.storage import read_tokens
-from hnf_core.field.expected import expected_rms
+from hnf_core.field.field import evaluate, steady_amplitude
+from hnf_core.field.linear_contact import Condition
 from hnf_core.field.weights import load_field
 
 SCENES = Path(__file__).parents[3] / "shared" / "data" / "scenes"
@@ -106,7 +107,12 @@ def test_louder_with_speed_and_force(touched) -> None:
                 continue
 
             def rms(speed: float, force: float, token=token, mechanics=mechanics) -> float:
-                return expected_rms(field, token, mechanics, "pen", (np.cos(0.3), np.sin(0.3)), speed, force)
+                way, one = np.array([[np.cos(0.3), np.sin(0.3)]]), np.ones(1)
+                steady = Condition(
+                    token[None].astype(np.float64), (mechanics,), np.zeros(1, np.int32), way, speed * one, force * one,
+                    one > 0.0, "pen",
+                )  # fmt: skip
+                return float(np.linalg.norm(steady_amplitude(field.config, evaluate(field, steady))))
 
             by_speed = np.log(rms(0.15, 1.0) / rms(0.05, 1.0)) / np.log(3.0)
             by_force = np.log(rms(0.1, 2.0) / rms(0.1, 0.5)) / np.log(4.0)

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import Phase, example, given, settings
 from hypothesis import strategies as st
+from unresolved_maps import unresolved_tactile_map
 
 from hnf_core.errors import UsageError
 from hnf_core.material.encoder import band_edges_per_metre, describe, known_bands, smooth_token_values
 from hnf_core.material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, SMOOTH_LEVEL, band_slice
-from hnf_core.tactile.height import tactile_map_from_height, unresolved_tactile_map
+from hnf_core.tactile.height import tactile_map_from_height
 from hnf_core.tactile.tactile_map import TactileMap
 
 SIZE = 256

@@ -7,6 +7,7 @@ import pytest
 from alexnet_parts import random_encoder
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from unresolved_maps import unresolved_tactile_map
 
 from hnf_core.errors import FileError, MaterialError, UsageError, WeightsError
 from hnf_core.material.alexnet import weights
@@ -21,7 +22,7 @@ from hnf_core.material.encoders import (
     encoder_by_name,
 )
 from hnf_core.material.token import ALEXNET_ID, ENCODER_ID, ENCODER_NAMES, LEVELS, TOKEN_DIM, band_slice
-from hnf_core.tactile.height import tactile_map_from_height, unresolved_tactile_map
+from hnf_core.tactile.height import tactile_map_from_height
 from hnf_core.tactile.tactile_map import Route, TactileMap
 from hnf_core.tactile.views import PITCHES_M
 

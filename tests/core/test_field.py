@@ -6,11 +6,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from steady_spectra import expected_rms, expected_spectrum
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.errors import FileError, WeightsError
 from hnf_core.field.carriers import Carriers
-from hnf_core.field.expected import expected_rms, expected_spectrum
 from hnf_core.field.features import build_inputs
 from hnf_core.field.field import Emission, Field, FieldConfig, accumulate, evaluate, initial_parameters
 from hnf_core.field.linear_contact import Condition

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from unresolved_maps import unresolved_tactile_map
 
 from hnf_core.errors import MaterialError, SceneError, UsageError
 from hnf_core.tactile.height import (
@@ -15,7 +16,6 @@ from hnf_core.tactile.height import (
     remove_plane,
     sample_height,
     tactile_map_from_height,
-    unresolved_tactile_map,
 )
 from hnf_core.tactile.optics import SENSORS
 from hnf_core.tactile.tactile_map import Route

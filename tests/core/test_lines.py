@@ -6,10 +6,10 @@ import dataclasses
 
 import numpy as np
 import pytest
+from steady_spectra import steady_amplitudes
 
 from hnf_core.errors import WeightsError
 from hnf_core.field.carriers import ARC_PER_OCTAVE, Carriers
-from hnf_core.field.expected import steady_amplitudes
 from hnf_core.field.features import build_inputs
 from hnf_core.field.field import Field, FieldConfig, evaluate, initial_parameters, steady_amplitude
 from hnf_core.field.linear_contact import Condition, linear_contact

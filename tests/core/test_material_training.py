@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 
 torch = pytest.importorskip("torch", reason="training needs the extra [train]")
 
+from steady_spectra import expected_spectrum  # noqa: E402
+
 from hnf_core.action.smooth import circular_action, steady_action, wandering_action  # noqa: E402
 from hnf_core.datasets.recording import Recording  # noqa: E402
 from hnf_core.errors import UsageError  # noqa: E402
 from hnf_core.field.carriers import Carriers  # noqa: E402
-from hnf_core.field.expected import expected_spectrum  # noqa: E402
 from hnf_core.field.field import Field, FieldConfig, initial_parameters  # noqa: E402
 from hnf_core.field.stroke import uniform_stroke  # noqa: E402
 from hnf_core.field.synthesis import synthesise  # noqa: E402

@@ -6,8 +6,8 @@ import dataclasses
 
 import numpy as np
 import pytest
+from steady_spectra import expected_spectrum, steady_amplitudes
 
-from hnf_core.field.expected import expected_spectrum, steady_amplitudes
 from hnf_core.field.field import Field
 from hnf_core.field.weights import DEFAULT_WEIGHTS, load_field
 from hnf_core.material.encoder import describe

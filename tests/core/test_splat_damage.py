@@ -15,7 +15,7 @@ from hnf_core.errors import FileError
 from hnf_core.scene.ply_header import read_ply_header
 from hnf_core.scene.splats import read
 from hnf_core.scene.splats.inria import write_inria
-from hnf_core.scene.splats.read import iter_readings, iter_splats, read_splats, read_whole
+from hnf_core.scene.splats.read import iter_readings, read_splats, read_whole
 
 
 def in_a_folder(examples: int) -> settings:
@@ -129,7 +129,7 @@ def test_a_cut_file_says_how_much_is_there(whole: dict[str, Path], tmp_path: Pat
     assert f"is cut short: {there} of its 300 splats are there." in str(refusal(path))
     if layout != "ascii":  # whose end only reading finds
         with pytest.raises(FileError, match="cut short"):
-            iter_splats(path)
+            iter_readings(path)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -252,9 +252,9 @@ def test_memory_follows_the_block_and_not_the_file(tmp_path: Path) -> None:
     with path.open("wb") as stream:
         stream.write(head.replace(b"vertex 2000", b"vertex 1000000") + end + data)
         stream.truncate(stream.tell() + len(data) * 499)
-    read_splats_of_a_block = iter_splats(path, 1000)
+    blocks = iter_readings(path, 1000)
     tracemalloc.start()
-    first = [next(read_splats_of_a_block) for _ in range(2)]
+    first = [next(blocks).splats for _ in range(2)]
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert [len(piece) for piece in first] == [1000, 1000]
@@ -270,7 +270,7 @@ def test_a_stream_of_blocks_holds_one_at_a_time(tmp_path: Path, layout: str) -> 
 
     def peak(chunk: int) -> int:
         tracemalloc.start()
-        count = sum(len(piece) for piece in iter_splats(path, chunk))
+        count = sum(len(reading.splats) for reading in iter_readings(path, chunk))
         _, highest = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         assert count == 4000

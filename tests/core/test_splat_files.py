@@ -24,7 +24,7 @@ from hnf_core.scene.splats.box import Box
 from hnf_core.scene.splats.cloud import Splats
 from hnf_core.scene.splats.frame import up_axis
 from hnf_core.scene.splats.inria import write_inria
-from hnf_core.scene.splats.read import is_splat_file, iter_splats, read_splats, read_whole
+from hnf_core.scene.splats.read import iter_readings, read_splats, read_whole
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "splats"
 FIELDS = ("means", "scales", "rotations", "opacities", "harmonics")
@@ -178,7 +178,7 @@ CLIPPED = (-0.5 / C0, 0.5 / C0)
 @given(chunk=st.integers(1, 700))
 def test_blocks_of_any_size_are_the_whole(files: dict[str, Path], layout: str, chunk: int) -> None:
     chunk = max(chunk, 10 if layout == "ascii" else 3)
-    pieces = list(iter_splats(files[layout], chunk))
+    pieces = [reading.splats for reading in iter_readings(files[layout], chunk)]
     assert [len(piece) for piece in pieces[:-1]] == [chunk] * (len(pieces) - 1)
     same(joined(pieces), read_splats(files[layout]))
 
@@ -196,15 +196,6 @@ def test_a_box_holds_the_splats_whose_centre_it_holds(files: dict[str, Path], la
     assert found.total == 600
     corner = tuple(whole.means[7].tolist())
     assert len(read_splats(files[layout], within=Box(corner, corner))) == 1
-
-
-def test_a_splat_file_is_told_by_its_header(files: dict[str, Path], tmp_path: Path) -> None:
-    assert all(is_splat_file(path) for path in files.values())
-    mesh = tmp_path / "mesh.ply"
-    mesh.write_bytes(ply_bytes([("vertex", floats(dict.fromkeys("xyz", np.zeros(3))))]))
-    (tmp_path / "noise.ply").write_bytes(bytes(range(256)))
-    others = (mesh, tmp_path / "noise.ply", tmp_path / "gone.ply", tmp_path)
-    assert not any(is_splat_file(path) for path in others)
 
 
 @pytest.mark.parametrize("newline", [b"\n", b"\r\n", b"\r"])

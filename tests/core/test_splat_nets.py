@@ -9,11 +9,11 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from hnf_core.errors import UsageError
+from hnf_core.errors import SceneError, UsageError
 from hnf_core.scene.mesh import TriangleMesh
 from hnf_core.scene.metric import metric_scale
 from hnf_core.scene.raycast import ReferenceGeometry
-from hnf_core.scene.splats.cells import Grid, connected, find, grown
+from hnf_core.scene.splats.cells import LONGEST_SIDE, Grid, connected, find, grown
 from hnf_core.scene.splats.nearest import nearest_faces
 from hnf_core.scene.splats.surface_nets import Net, Samples, surface_net
 
@@ -119,6 +119,14 @@ def test_a_hole_in_what_is_known_stays_a_hole():
     assert (np.hypot(rim[:, 0], rim[:, 1]) < 6.5).all()
     assert (rim[:, 2] > 0.0).all()
     assert len(net.vertices) - len(pairs) + len(net.triangles) == 1
+
+
+def test_the_widest_grid_still_numbers_every_cell_and_a_wider_one_is_refused():
+    side = LONGEST_SIDE
+    widest, corners = Grid((side,) * 3), np.array([[0, 0, 0], [side - 1, 1, side - 2], [side - 1] * 3])
+    np.testing.assert_array_equal(widest.cells(widest.keys(corners)), corners)
+    with pytest.raises(SceneError, match="too far apart"):
+        Grid((8, side + 1, 8))
 
 
 def test_nothing_known_or_no_sign_change_is_no_surface():

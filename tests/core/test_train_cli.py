@@ -15,6 +15,8 @@ from hatt_files import HATT, model_xml, needs_hatt
 
 pytest.importorskip("torch", reason="training needs the extra [train]")
 
+from steady_spectra import expected_spectrum
+
 from hnf_core.cli.main import main
 from hnf_core.datasets.autoregressive import power_spectrum
 from hnf_core.datasets.catalogue import open_dataset
@@ -22,7 +24,6 @@ from hnf_core.datasets.hatt_models import read_texture_model
 from hnf_core.datasets.recording import Recording
 from hnf_core.datasets.training_strokes import training_recordings
 from hnf_core.export.wav import read_wav
-from hnf_core.field.expected import expected_spectrum
 from hnf_core.field.weights import load_field, own_material
 from hnf_core.training.own_material import Choices, train_own
 

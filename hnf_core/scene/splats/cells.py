@@ -9,17 +9,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...errors import SceneError
+
 Int = NDArray[np.int64]
 
-LONGEST_SIDE = 1 << 20
+LONGEST_SIDE = (1 << 21) - 1
 """Cells along an axis; three of them fit into one 63-bit number."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """shape: cells along x, y, z. A cell's key is (i · ny + j) · nz + k."""
+    """shape: cells along x, y, z, at most LONGEST_SIDE each: else SceneError. A cell's key is (i · ny + j) · nz + k."""
 
     shape: tuple[int, int, int]
+
+    def __post_init__(self) -> None:
+        if max(self.shape) > LONGEST_SIDE:
+            raise SceneError(
+                f"the splats lie too far apart for their size: {max(self.shape)} cells in a row.",
+                remedy="Cut away what lies far from the object, and export the splats again.",
+            )
 
     def keys(self, cells: Int) -> Int:
         """(n, 3) cells → (n,) keys."""

@@ -24,15 +24,6 @@ BLOCK = 1 << 15
 MOST_DROPPED = 0.1
 
 
-def is_splat_file(path: Path) -> bool:
-    """Whether a .ply's header says Gaussian splats, in a layout that is read; False for any other file, a missing or
-    damaged one too."""
-    try:
-        return read_ply_header(Path(path)).is_splat
-    except FileError:
-        return False
-
-
 def read_splats(path: Path, *, within: Box | None = None) -> Splats:
     """The usable Gaussians of a file in their order; within: only those whose centre it holds. Raises as read_whole."""
     return read_whole(path, within=within).splats
@@ -56,11 +47,6 @@ def read_whole(path: Path, *, within: Box | None = None) -> Reading:
         total, thickened = total + reading.total, thickened + reading.thickened
         dropped.update(reading.dropped)
     return Reading(kept.splats(), total, dict(dropped), thickened)
-
-
-def iter_splats(path: Path, chunk: int = BLOCK) -> Iterator[Splats]:
-    """The usable Gaussians of up to chunk rows at a time, in their order. Raises as iter_readings."""
-    return (reading.splats for reading in iter_readings(path, chunk))
 
 
 def iter_readings(path: Path, chunk: int = BLOCK) -> Iterator[Reading]:

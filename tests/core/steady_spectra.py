@@ -1,13 +1,13 @@
-"""What the field expects of a steady stroke, as a spectrum: for benchmarks, checks and training."""
+"""What a field expects of a long steady stroke: its spectrum and its loudness, without a draw of noise."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..material.mechanics import Mechanics
-from .field import Field, evaluate, steady_amplitude
-from .linear_contact import Condition
+from hnf_core.field.field import Field, evaluate, steady_amplitude
+from hnf_core.field.linear_contact import Condition
+from hnf_core.material.mechanics import Mechanics
 
 Float = NDArray[np.float64]
 
