@@ -7,7 +7,8 @@ import time
 from typing import Any
 
 HOLDS_S = 1.0
-"""A list is made anew then at the latest: Blender does not tell of everything."""
+"""A list is made anew then at the latest: Blender does not tell of everything, such as a script that makes a curve of
+the scene a stroke."""
 
 
 class Listed:

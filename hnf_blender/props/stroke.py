@@ -7,15 +7,9 @@ import bpy
 
 from hnf_core.material.mechanics import PROBES
 
-from .listed import LISTED
 from .overriding import OVERRIDABLE
 
 FORCE_MAX_N = 20.0
-
-
-def _listed_anew(_group: object, _context: object) -> None:
-    LISTED.forget()
-
 
 LAWS = (
     ("PROGRESS", "Progress keys", "Where along the curve the hand is at each frame comes from the keyed progress"),
@@ -24,13 +18,13 @@ LAWS = (
 )
 
 
+# No poll, no update: a Python callback in a property hangs bpy 4.5 and crashes 4.2 when the process ends.
 class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no types
     is_stroke: bpy.props.BoolProperty(
         name="Stroke",
         description="This curve is a stroke: a path along which the surface is touched",
         default=False,
         override=OVERRIDABLE,
-        update=_listed_anew,
     )
     was_curve: bpy.props.BoolProperty(
         name="Was a curve",
@@ -95,7 +89,6 @@ class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no ty
         default="pen",
         override=OVERRIDABLE,
     )
-    # No poll: a Python callback in a property hangs bpy 4.5 and crashes 4.2 when the process ends.
     surface: bpy.props.PointerProperty(
         name="Surface",
         description="Object that is touched; empty: the nearest visible mesh",
