@@ -158,6 +158,11 @@ def stroke_named(scene: Any, name: str) -> Any:
     return full if full is not None else next((obj for obj in strokes if obj.name == name), None)
 
 
+def namesake(scene: Any, stroke: Any) -> Any:
+    """Another stroke of the scene with this one's name, which one linked from another file may have; or None."""
+    return next((obj for obj in strokes_of(scene) if obj.name == stroke.name and obj != stroke), None)
+
+
 def place_in(objects: Any, obj: Any) -> int:
     """Where obj is in a collection of objects; -1: nowhere. Its name alone may find another one's, linked or local."""
     at = int(objects.find(obj.name))

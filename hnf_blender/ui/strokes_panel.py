@@ -11,7 +11,7 @@ from ..actuator.choice import chosen_output
 from ..actuator.state import SPEAKERS
 from ..ops.materials import spoken
 from ..preview.facts import preview_facts
-from ..props.scene import active_stroke, strokes_of
+from ..props.scene import active_stroke, namesake, strokes_of
 from ..state.session import STATE
 from ..translations import tr
 from .layout import TouchPanel, hint, named, paragraph, side_by_side
@@ -72,6 +72,13 @@ class HNF_PT_stroke(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # noqa: N
         layout, stroke = self.layout, active_stroke(context)
         group = stroke.hnf_stroke
         layout.prop(stroke, "name", text="", icon="CURVE_DATA")
+        if namesake(context.scene, stroke) is not None:
+            paragraph(
+                layout,
+                context,
+                tr("A linked stroke has the same name, and what is shown may be of the other: rename yours"),
+                icon="ERROR",
+            )
         icon, text = look(STATE.strokes.get(stroke.name))
         paragraph(layout, context, text, icon=icon)
         status, heard = STATE.strokes.get(stroke.name), preview_facts(stroke)

@@ -9,7 +9,7 @@ from builders import add_plane, datablock_names
 from stroke_builders import LINE, act, add_stroke, key, keyed_fcurves, read
 
 from hnf_blender.bridge.strokes import stroke_objects
-from hnf_blender.props.scene import active_stroke
+from hnf_blender.props.scene import active_stroke, namesake
 from hnf_core.action.primitives import PRIMITIVE_NAMES, PRIMITIVES
 
 
@@ -209,6 +209,7 @@ def test_a_linked_stroke_is_not_mistaken_for_the_one_of_its_name(tmp_path):
         wanted.objects = ["One"]
     own, linked = linked, wanted.objects[0]
     bpy.context.scene.collection.objects.link(linked)
+    assert (namesake(bpy.context.scene, own), namesake(bpy.context.scene, linked)) == (linked, own)
     for stroke in (linked, own):
         assert bpy.ops.hnf.stroke_select(name=stroke.name_full) == {"FINISHED"}
         assert active_stroke(bpy.context) == stroke == bpy.context.scene.objects[bpy.context.scene.hnf.stroke_index]

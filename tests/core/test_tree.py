@@ -122,6 +122,18 @@ def asks_for_the_version(path: Path, tree: ast.Module) -> list[str]:
     ]
 
 
+def is_called_back_by_a_property(path: Path, tree: ast.Module) -> list[str]:
+    """Such a callback hangs bpy 4.5 and crashes 4.2 when the process ends, whatever it does."""
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    return [
+        f"line {call.lineno}: {word.arg}="
+        for call in calls
+        if ast.unparse(call.func).startswith("bpy.props.")
+        for word in call.keywords
+        if word.arg in {"update", "poll", "get", "set", "search"}
+    ]
+
+
 def breaches(rule: Rule, *folders: Path) -> list[str]:
     return [
         f"{path.relative_to(ROOT)} {found}"
@@ -139,6 +151,7 @@ def breaches(rule: Rule, *folders: Path) -> list[str]:
         (looks_upstairs, (CORE,)),
         (is_unsafe, (CORE, BRIDGE, ROOT / "tools", ROOT / "tests")),
         (asks_for_the_version, (BRIDGE,)),
+        (is_called_back_by_a_property, (BRIDGE,)),
     ],
 )
 def test_no_file_breaks_the_rule(rule: Rule, folders: tuple[Path, ...]) -> None:
@@ -163,6 +176,7 @@ def test_no_file_breaks_the_rule(rule: Rule, folders: tuple[Path, ...]) -> None:
         (is_unsafe, "training/x.py", "torch.load('x')"),
         (is_unsafe, "training/x.py", "torch.load('x', weights_only=True)"),
         (asks_for_the_version, "x.py", "if bpy.app.version >= (5, 0, 0): pass"),
+        (is_called_back_by_a_property, "x.py", "class X:\n    on: bpy.props.BoolProperty(update=told)"),
     ],
 )
 def test_the_rule_catches_a_breach(rule: Rule, where: str, source: str) -> None:
