@@ -57,7 +57,7 @@ def tick() -> float:
     """Timer: look at what changed, unless the timeline plays."""
     import bpy
 
-    from .props.scene import strokes_of
+    from .props.scene import listed_strokes
     from .state.redraw import redraw_tab
     from .state.warm import is_ready
 
@@ -68,7 +68,7 @@ def tick() -> float:
         redraw_tab()
     if not (STATE.dirty or STATE.strokes):
         return INTERVAL_S
-    if (STATE.strokes or any(strokes_of(window.scene) for window in windows)) and not is_ready():
+    if (STATE.strokes or any(listed_strokes(window.scene) for window in windows)) and not is_ready():
         return INTERVAL_S
     if drain((window.scene, window.view_layer) for window in windows):
         redraw_tab()

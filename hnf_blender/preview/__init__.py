@@ -97,7 +97,7 @@ def _look(context: Any, heard: set[str], ended: bool, *, is_first: bool) -> None
     import bpy
 
     from .. import actuator
-    from ..props.scene import active_stroke, actuator_of, strokes_of
+    from ..props.scene import active_stroke, actuator_of, listed_strokes
     from ..state.redraw import redraw_tab
     from ..state.session import STATE
     from . import current
@@ -116,7 +116,7 @@ def _look(context: Any, heard: set[str], ended: bool, *, is_first: bool) -> None
     )  # fmt: skip
     if seen != looked.seen:
         looked.seen = seen
-        others = strokes_of(scene) if settings.follow_timeline else []
+        others = listed_strokes(scene) if settings.follow_timeline else []
         PREVIEW.keep_only({obj.name for obj in bpy.data.objects})
         looked.waiting[:] = [obj.name for obj in others if obj != active]
         if active is not None:

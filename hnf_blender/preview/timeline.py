@@ -111,12 +111,12 @@ def lingering(moment: Sound) -> Sound:
 
 def placed_strokes(scene: Any) -> list[Any]:
     """Signals that are there and true, of strokes that are not muted, at their start frames."""
-    from ..props.scene import strokes_of
+    from ..props.scene import listed_strokes
     from .current import problem_of
     from .placement import Placed
 
     placed = []
-    for obj in strokes_of(scene):
+    for obj in listed_strokes(scene):
         shown = PREVIEW.shown(obj.name)
         if shown is not None and not obj.hnf_stroke.mute and not problem_of(obj.name):
             placed.append(Placed(float(obj.hnf_stroke.start), shown.signal.samples, shown.signal.sample_rate))

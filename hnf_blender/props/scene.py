@@ -148,6 +148,12 @@ def actuator_of(scene: Any) -> ActuatorProfile:
 
 def strokes_of(scene: Any) -> list[Any]:
     """The scene's stroke objects, muted ones too, in the order of its objects."""
+    return [obj for obj in scene.objects if obj.hnf_stroke.is_stroke]
+
+
+def listed_strokes(scene: Any) -> list[Any]:
+    """strokes_of(), remembered while Blender tells of no change: for panels and timers, which ask all the time. A
+    script may make a stroke of which Blender tells nothing, so operators look anew."""
     return LISTED.strokes(scene)
 
 
@@ -181,5 +187,5 @@ def active_stroke(context: Any) -> Any:
     index = scene.hnf.stroke_index
     if index < len(scene.objects) and scene.objects[index].hnf_stroke.is_stroke:
         return scene.objects[index]
-    strokes = strokes_of(scene)
+    strokes = listed_strokes(scene)
     return strokes[0] if len(strokes) == 1 else None

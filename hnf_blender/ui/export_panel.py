@@ -8,7 +8,7 @@ import bpy
 
 from ..preview.facts import PREVIEW
 from ..props.export_formats import CHOICE_OF
-from ..props.scene import active_stroke, actuator_of, strokes_of
+from ..props.scene import active_stroke, actuator_of, listed_strokes
 from ..translations import tr
 from .layout import TouchPanel, hint, paragraph, side_by_side
 
@@ -23,7 +23,7 @@ class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa:
 
     def draw(self, context: Any) -> None:
         layout, scene = self.layout, context.scene
-        if not strokes_of(scene):
+        if not listed_strokes(scene):
             hint(layout, context, tr("Draw and bake a stroke first; then it can be written as a file"))
         layout.prop(scene.hnf, "export_format", text="")
         choice = CHOICE_OF.get(scene.hnf.export_format)
@@ -51,7 +51,7 @@ class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa:
         column = layout.column(align=True)
         column.operator("hnf.add_to_sequencer", text="Add to Sequencer", icon="SEQUENCE")
         column.operator("hnf.add_speaker", text="Add Speaker at the Stroke", icon="OUTLINER_OB_SPEAKER")
-        if strokes_of(scene) and active_stroke(context) is None:
+        if listed_strokes(scene) and active_stroke(context) is None:
             hint(layout, context, tr("Click a stroke in the list: buttons above speak of one"))
 
 

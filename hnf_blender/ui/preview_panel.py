@@ -8,7 +8,7 @@ import bpy
 
 from ..actuator.state import ACTUATOR
 from ..preview.facts import PreviewFacts, preview_facts, preview_icon
-from ..props.scene import active_stroke, strokes_of
+from ..props.scene import active_stroke, listed_strokes
 from ..state.session import STATE, Freshness
 from ..translations import tr
 from .layout import TouchPanel, hint, paragraph
@@ -36,7 +36,7 @@ class HNF_PT_preview(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa
     def draw(self, context: Any) -> None:
         layout, stroke = self.layout, active_stroke(context)
         if stroke is None:
-            text = tr("Click a stroke in the list to hear it") if strokes_of(context.scene) else ""
+            text = tr("Click a stroke in the list to hear it") if listed_strokes(context.scene) else ""
             hint(layout, context, text or tr("Nothing to hear yet: draw a stroke, then bake it"))
             return
         facts, icon = preview_facts(stroke), preview_icon(stroke)

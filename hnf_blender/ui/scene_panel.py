@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 import bpy
 
-from ..props.scene import strokes_of
+from ..props.scene import listed_strokes
 from ..state.session import STATE, LastJob, PlanView
 from ..translations import tr
 from .layout import TouchPanel, hint, named, paragraph, side_by_side
@@ -36,7 +36,7 @@ class HNF_PT_scene(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: 
         if STATE.job is not None:
             draw_job(layout, context)
             return
-        strokes = strokes_of(scene)
+        strokes = listed_strokes(scene)
         draw_first_steps(layout, context, strokes)
         row = layout.row(align=True)
         row.scale_y = 1.4

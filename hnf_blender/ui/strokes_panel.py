@@ -11,7 +11,7 @@ from ..actuator.choice import chosen_output
 from ..actuator.state import SPEAKERS
 from ..ops.materials import spoken
 from ..preview.facts import preview_facts
-from ..props.scene import active_stroke, namesake, strokes_of
+from ..props.scene import active_stroke, listed_strokes, namesake
 from ..state.session import STATE
 from ..translations import tr
 from .layout import TouchPanel, hint, named, paragraph, side_by_side
@@ -27,7 +27,7 @@ class HNF_PT_strokes(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa
 
     def draw(self, context: Any) -> None:
         layout, scene = self.layout, context.scene
-        strokes = strokes_of(scene)
+        strokes = listed_strokes(scene)
         row = side_by_side(layout, context)
         row.operator("hnf.stroke_tool", icon="GREASEPENCIL")
         row.menu("HNF_MT_stroke_add", text="Ready Strokes", icon="ADD")

@@ -11,7 +11,7 @@ from hnf_blender import handlers, preview
 from hnf_blender.jobs import running
 from hnf_blender.preview.facts import PREVIEW
 from hnf_blender.props.listed import LISTED
-from hnf_blender.props.scene import strokes_of
+from hnf_blender.props.scene import listed_strokes, strokes_of
 from hnf_blender.state import picked, watch
 from hnf_blender.state.guard import own_changes
 from hnf_blender.state.session import STATE, Freshness, StrokeStatus
@@ -314,7 +314,7 @@ def test_the_list_of_strokes_is_scanned_once_and_always_true(noting, monkeypatch
     update()
 
     def listed() -> list[str]:
-        return [obj.name for obj in strokes_of(scene)]
+        return [obj.name for obj in listed_strokes(scene)]
 
     assert listed() == ["Along"]
     held = dict(LISTED._places)
@@ -326,7 +326,8 @@ def test_the_list_of_strokes_is_scanned_once_and_always_true(noting, monkeypatch
     assert listed() == ["Along"]
     bpy.data.objects.remove(bpy.data.objects["Along"])
     assert listed() == []
-    beside.hnf_stroke.is_stroke = True  # nor of this; it is seen as soon as the list is old
+    beside.hnf_stroke.is_stroke = True  # nor of this; it is seen as soon as the list is old, and at once by operators
+    assert strokes_of(scene) == [beside]
     monkeypatch.setattr("hnf_blender.props.listed.HOLDS_S", 0.0)
     assert listed() == ["Beside"]
 
