@@ -9,7 +9,7 @@ import bpy
 from hnf_core.errors import HnfError
 
 from ..jobs import current
-from ..props.scene import active_stroke, strokes_of
+from ..props.scene import active_stroke, has_strokes
 from ..state.redraw import redraw_tab
 from ..state.session import STATE, JobStatus, LastJob
 from ..translations import tr
@@ -157,7 +157,7 @@ class HNF_OT_purge(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
 
 
 def _has_strokes(operator: Any, context: Any) -> bool:
-    if not strokes_of(context.scene):
+    if not has_strokes(context.scene):
         return greyed(operator, "The scene has no stroke yet. Draw one, or add one in the list of strokes.")
     return True
 

@@ -9,7 +9,7 @@ import bpy
 from hnf_core.errors import HnfError
 
 from ..props.export_formats import FORMAT_ITEMS
-from ..props.scene import active_stroke, strokes_of
+from ..props.scene import active_stroke, has_strokes, strokes_of
 from ..state.redraw import redraw_tab
 from ..translations import tr
 from .greyed import greyed
@@ -34,7 +34,7 @@ class HNF_OT_export(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # 
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        if not strokes_of(context.scene):
+        if not has_strokes(context.scene):
             return greyed(cls, "This scene has no stroke to export")
         return True
 

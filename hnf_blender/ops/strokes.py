@@ -11,7 +11,7 @@ from hnf_core.errors import HnfError, SceneError
 
 from ..compat import own_action
 from ..props.listed import LISTED
-from ..props.scene import active_stroke, place_in, stroke_named, strokes_of
+from ..props.scene import active_stroke, has_strokes, place_in, stroke_named, strokes_of
 from ..translations import tr
 from .active import AS_SET, make_active, make_shown, metres_of, one_line, probe_of
 from .draw import PROBE_ITEMS
@@ -188,7 +188,7 @@ class OfStroke:
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        if not strokes_of(context.scene):
+        if not has_strokes(context.scene):
             return greyed(cls, "There is no stroke yet: draw one with the stroke tool")
         return True
 

@@ -157,6 +157,11 @@ def listed_strokes(scene: Any) -> list[Any]:
     return LISTED.strokes(scene)
 
 
+def has_strokes(scene: Any) -> bool:
+    """For poll(): cheap where there are some, and never wrong where there are none."""
+    return bool(listed_strokes(scene) or strokes_of(scene))
+
+
 def stroke_named(scene: Any, name: str) -> Any:
     """The scene's stroke of this full name, which for a linked one names its file too; else of this name; or None."""
     strokes = strokes_of(scene)
