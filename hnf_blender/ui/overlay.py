@@ -13,7 +13,7 @@ from bpy.app.handlers import persistent
 
 from ..bridge.temporary import SCENE_NAME
 from ..prefs import settings
-from ..props.scene import active_stroke, listed_strokes
+from ..props.scene import active_stroke, strokes_of
 from ..state.session import STATE
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ def _refresh() -> None:
     """Timer, once: compute what has changed in the scenes that the windows show."""
     context = bpy.context
     shown = {window.scene.name: window for window in context.window_manager.windows}
-    strokes = {obj.name for window in shown.values() for obj in listed_strokes(window.scene)}
+    strokes = {obj.name for window in shown.values() for obj in strokes_of(window.scene)}
     gone = set(OVERLAY.paths) - strokes
     if strokes or gone:
         from . import overlay_gpu
@@ -143,7 +143,7 @@ def _compute(scene: Any, depsgraph: Any) -> None:
     from . import overlay_gpu
     from .overlay_paths import overlay_path
 
-    for obj in listed_strokes(scene):
+    for obj in strokes_of(scene):
         name = obj.name
         if OVERLAY.all_dirty or name not in OVERLAY.paths or name in OVERLAY.dirty or obj.data.name in OVERLAY.dirty:
             OVERLAY.paths[name] = overlay_path(obj, scene, depsgraph, metres_of(scene))
