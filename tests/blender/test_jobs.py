@@ -64,7 +64,7 @@ def test_unsaved_changes_are_baked_and_the_open_file_stays_what_it_is(tmp_path, 
 def test_one_bake_at_a_time() -> None:
     small_scene()
     start()
-    with pytest.raises(RuntimeError, match="A bake is running"):
+    with pytest.raises(RuntimeError, match="A job is running"):
         bpy.ops.hnf.bake()
     current.cancel()
     with pytest.raises(RuntimeError, match="No bake is running"):

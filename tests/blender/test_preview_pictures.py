@@ -187,9 +187,10 @@ def test_a_signal_on_its_way_is_drawn_only_where_it_takes_long(monkeypatch) -> N
     now = [10.0]
     monkeypatch.setattr(preview, "time", SimpleNamespace(monotonic=lambda: now[0]))
     ready, busy = preview.PreviewFacts("Along"), preview.PreviewFacts("Along", busy=True)
-    assert preview._worth_drawing(None) is None
+    looked = preview.Looked()
+    assert preview._worth_drawing(None, looked) is None
     for _ in range(2):  # the second announcement waits as long as the first
-        assert preview._worth_drawing(busy) == ready
+        assert preview._worth_drawing(busy, looked) == ready
         now[0] += preview.BUSY_S
-        assert preview._worth_drawing(busy) == busy
-        assert preview._worth_drawing(ready) == ready
+        assert preview._worth_drawing(busy, looked) == busy
+        assert preview._worth_drawing(ready, looked) == ready
