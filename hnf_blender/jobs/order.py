@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hnf_core.archive import DAMAGED
+from hnf_core.archive import DAMAGED, read_arrays
 from hnf_core.errors import FileError
 from hnf_core.files import write_text
 from hnf_core.material.palette import Palette
@@ -117,19 +117,17 @@ def pack_tokens(tokens: FaceTokens) -> bytes:
 def unpack_tokens(data: bytes) -> FaceTokens:
     """Raises FileError where data are not what pack_tokens made."""
     try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            return FaceTokens(
-                palette=Palette.from_bytes(arrays["palette"].tobytes()),
-                index=arrays["index"].astype(np.int32),
-                roughness=arrays["roughness"].astype(np.float32),
-                confidence=arrays["confidence"].astype(np.float32),
-                source=str(arrays["source"]),
-                points=PointTokens(
-                    arrays["points_index"].astype(np.int32), arrays["points_confidence"].astype(np.float32)
-                )
-                if "points_index" in arrays
-                else None,
-            )
+        arrays = read_arrays(data)
+        return FaceTokens(
+            palette=Palette.from_bytes(arrays["palette"].tobytes()),
+            index=arrays["index"].astype(np.int32),
+            roughness=arrays["roughness"].astype(np.float32),
+            confidence=arrays["confidence"].astype(np.float32),
+            source=str(arrays["source"]),
+            points=PointTokens(arrays["points_index"].astype(np.int32), arrays["points_confidence"].astype(np.float32))
+            if "points_index" in arrays
+            else None,
+        )
     except DAMAGED as error:
         raise FileError(f"the tokens are damaged ({error}).", where="job folder", remedy="Bake again.") from error
 

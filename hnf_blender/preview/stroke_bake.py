@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.action.action import Action
-from hnf_core.archive import DAMAGED
+from hnf_core.archive import DAMAGED, read_arrays
 from hnf_core.errors import FileError, HnfError, SceneError, StrokeError
 from hnf_core.field.stroke import HeightProfile, StrokeInput
 from hnf_core.field.weights import field_bytes, parse_field
@@ -114,10 +114,10 @@ class StrokeBake:
     def from_bytes(cls, data: bytes, *, where: str = "stored bake") -> StrokeBake:
         """Raises FileError where data are damaged, or of another version."""
         try:
-            with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-                schema = int(arrays["schema"])
-                if schema == SCHEMA:
-                    return _unpack({name: arrays[name] for name in arrays.files})
+            arrays = read_arrays(data)
+            schema = int(arrays["schema"])
+            if schema == SCHEMA:
+                return _unpack(arrays)
         except _DAMAGE as error:
             raise FileError(f"its stored bake is damaged ({error}).", where=where, remedy=_AGAIN) from error
         raise FileError(f"its stored bake has format {schema}, this add-on reads {SCHEMA}.", where=where, remedy=_AGAIN)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hnf_core.archive import DAMAGED
+from hnf_core.archive import DAMAGED, read_arrays
 
 
 def packed() -> bytes:
@@ -24,10 +24,21 @@ WHOLE = packed()
 def test_a_changed_byte_is_damage_or_nothing(at, byte):
     broken = WHOLE[:at] + bytes([byte]) + WHOLE[at + 1 :]
     try:
-        with np.load(io.BytesIO(broken), allow_pickle=False) as arrays:
-            assert all(isinstance(arrays[name], np.ndarray) for name in arrays.files)
+        found = read_arrays(broken)
     except DAMAGED:
-        pass
+        return
+    assert list(found) == ["one", "words"]
+    np.testing.assert_array_equal(found["one"], np.arange(7.0))
+    assert found["words"].tolist() == ["a", "bc"]
+
+
+def test_no_array_is_swallowed():
+    """The length of a comment, in the list of entries: 32 bytes after where each begins."""
+    entry = WHOLE.index(b"PK\x01\x02")
+    for at in (entry + 32, entry + 33):
+        broken = WHOLE[:at] + bytes([WHOLE[at] ^ 128]) + WHOLE[at + 1 :]
+        with pytest.raises(DAMAGED, match="lists 1 arrays of 2"):
+            read_arrays(broken)
 
 
 @pytest.mark.parametrize(
