@@ -14,19 +14,19 @@ from .linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S
 from .timeline import SAMPLES_PER_STATE
 
 Float = NDArray[np.float64]
+Samples = NDArray[np.int64]
 
 BENT = 0.25
 """Of log speed, log force and direction (radians): what the straight lines between turns may leave out. F_Θ answers to
 them about one to one, and what it makes of such a bend is told from the middle between two turns."""
 
 
-def turns(action: Action, token_index: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Samples of the model rate, ascending, of the states between which an action at ACTION_RATE_HZ is straight within
-    BENT, on one material, and in contact or in the air throughout."""
+def turns(action: Action, token_index: NDArray[np.int32]) -> Samples:
+    """Samples of the model rate, ascending, between which an action at ACTION_RATE_HZ is straight within BENT, on one
+    material, and in contact or in the air throughout: states, and places between two of them."""
     force = np.where(action.contact, np.maximum(action.force, FORCE_FLOOR_N), FORCE_FLOOR_N)
-    course = np.stack(
-        [np.log(np.maximum(action.speed, SPEED_FLOOR_M_S)), np.log(force), *action.direction.T], axis=1
-    )  # fmt: skip
+    speed = np.maximum(action.speed, SPEED_FLOOR_M_S)
+    course = np.stack([np.log(speed), np.log(force), *action.direction.T], axis=1)
     changes = np.flatnonzero((np.diff(token_index) != 0) | (np.diff(action.contact.astype(np.int8)) != 0))
     kept = np.unique(np.concatenate([[0, len(course) - 1], changes, changes + 1]))
     pending = list(zip(kept[:-1].tolist(), kept[1:].tolist(), strict=True))
@@ -41,4 +41,18 @@ def turns(action: Action, token_index: NDArray[np.int32]) -> NDArray[np.int64]:
         if off[worst] > BENT:
             found.add(low + 1 + worst)
             pending += [(low, low + 1 + worst), (low + 1 + worst, high)]
-    return SAMPLES_PER_STATE * np.array(sorted(found), dtype=np.int64)
+    states: Samples = SAMPLES_PER_STATE * np.array(sorted(found), dtype=np.int64)
+    all_: Samples = np.unique(np.concatenate([states, _between_states(speed), _between_states(force)]))
+    return all_
+
+
+def _between_states(value: Float) -> Samples:
+    """Samples where a value > 0 that goes straight from state to state bends in its logarithm by more than BENT: a stop
+    or a start within one state. It bends most where it is the logarithmic mean of its ends."""
+    rise, growth = np.diff(value), np.diff(np.log(value))
+    row = np.flatnonzero(np.abs(growth) > 1.0)
+    mean = rise[row] / growth[row]
+    share = (mean - value[row]) / rise[row]
+    bent = np.log(mean / value[row]) - share * growth[row] > BENT
+    at: Samples = SAMPLES_PER_STATE * row[bent] + np.rint(SAMPLES_PER_STATE * share[bent]).astype(np.int64)
+    return at

@@ -4,13 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from test_synthesis import FOAM, WOOD, linear_field, make_action, rough_token, steady
 
 from hnf_core.action.primitive_path import primitive_action
 from hnf_core.action.primitives import PRIMITIVES
-from hnf_core.field.adaptive import COARSEST, FINEST, sample_emission
+from hnf_core.field.adaptive import COARSEST, FINEST, MOST, sample_emission
 from hnf_core.field.field import Emission, evaluate
 from hnf_core.field.reference import synthesise_reference
 from hnf_core.field.stroke import HeightProfile, uniform_stroke
@@ -63,6 +63,7 @@ def test_the_tolerance_is_kept_where_a_hand_lands_speeds_up_and_stops(tolerance)
 
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.floats(0.0, 3.0), min_size=3, max_size=9), st.sampled_from([0.05, 0.02]))
+@example([1.0, 0.0, 3.0], 0.02)
 def test_the_tolerance_is_kept_on_any_straight_lines(heights, tolerance):
     """The worst there is for a straight line between knots: kinks, anywhere. Told from middles alone, so a factor."""
     count = 1700 * (len(heights) - 1)
@@ -103,6 +104,13 @@ def test_what_cannot_be_followed_is_told():
     assert missed(sampled, lambda at: rng[at], 8000) > 0.01
 
 
+def test_what_asks_for_ever_more_is_followed_within_bounds():
+    rng = np.random.default_rng(0).random(400_001)
+    sampled = sample_emission(of_time(lambda at: rng[at]), 400_000, 0.01)
+    assert MOST - 2 <= len(sampled.at) <= MOST
+    assert sampled.missed > 0.01**2
+
+
 @pytest.mark.parametrize("material", ["leather", "cotton-canvas"])
 @pytest.mark.parametrize("name", ["left-right-soft", "rub-fast"])
 def test_the_shipped_field_is_within_the_tolerance(material, name):
@@ -140,6 +148,7 @@ def test_a_signal_within_the_tolerance_of_the_reference():
     st.lists(st.integers(5, 190), min_size=1, max_size=6),
     st.integers(1, 8),
 )
+@example("stops", [32, 187], 6)
 def test_nothing_short_hides_between_two_evaluations(kind, starts, length):
     within = np.any([(np.arange(201) >= at) & (np.arange(201) <= at + length) for at in starts], axis=0)
     speed = np.where(within & (kind == "stops"), 0.0, 0.1)
