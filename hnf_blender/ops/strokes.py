@@ -228,12 +228,7 @@ class HNF_OT_stroke_delete(OfStrokeObject, bpy.types.Operator):  # type: ignore[
     def work(self, context: Any, stroke: Any) -> str:
         scene = context.scene
         name, curve = stroke.name, stroke.data
-        if stroke.library is not None:
-            raise SceneError(
-                f"it is linked from {stroke.library.name}.",
-                where=f"stroke '{name}'",
-                remedy="Delete it in that file, or unlink its collection in the Outliner. Nothing was deleted.",
-            )
+        refuse_linked(stroke, "Delete it in that file, or unlink its collection in the Outliner. Nothing was deleted.")
         if stroke.hnf_stroke.was_curve:
             return to_curve(stroke)
         strokes = strokes_of(scene)
@@ -259,13 +254,14 @@ class HNF_OT_stroke_to_curve(OfStrokeObject, bpy.types.Operator):  # type: ignor
     name: bpy.props.StringProperty(**NAME)
 
     def work(self, _context: Any, stroke: Any) -> str:
-        if stroke.library is not None:
-            raise SceneError(
-                f"it is linked from {stroke.library.name}.",
-                where=f"stroke '{stroke.name}'",
-                remedy="Make it local or override it (Object > Library Override).",
-            )
+        refuse_linked(stroke, "Make it local or override it (Object > Library Override).")
         return to_curve(stroke)
+
+
+def refuse_linked(stroke: Any, remedy: str) -> None:
+    """Raises SceneError for a stroke of another file."""
+    if stroke.library is not None:
+        raise SceneError(f"it is linked from {stroke.library.name}.", where=f"stroke '{stroke.name}'", remedy=remedy)
 
 
 def to_curve(stroke: Any) -> str:
