@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from hnf_core.errors import HnfError
 
@@ -12,19 +12,12 @@ from ..state.session import LastJob
 if TYPE_CHECKING:
     from hnf_core.cli.probe import ProbePlace
 
+    from .child_job import ChildJob
     from .running import Bake
 
 
-class Work(Protocol):
-    """A job: begun by being made, see running.Bake."""
-
-    def tick(self) -> LastJob | None: ...
-
-    def cancel(self) -> LastJob: ...
-
-
-AnyWork = TypeVar("AnyWork", bound=Work)
-_running: Work | None = None
+AnyJob = TypeVar("AnyJob", bound="ChildJob")
+_running: ChildJob | None = None
 
 
 def is_running() -> bool:
@@ -38,7 +31,7 @@ def start(scene: Any, view_layer: Any, only: Sequence[str] = (), place: ProbePla
     return begin(lambda: Bake(scene, view_layer, only, place))
 
 
-def begin(make: Callable[[], AnyWork]) -> AnyWork:
+def begin(make: Callable[[], AnyJob]) -> AnyJob:
     """What make() begins is the job that runs. Raises HnfError where one runs already, and what make() raises."""
     global _running
     if _running is not None:

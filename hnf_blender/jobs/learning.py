@@ -20,6 +20,7 @@ from ..state.folders import learned_folder
 from ..state.session import STATE, JobStatus, LastJob
 from ..translations import tr
 from .child import Child, Program
+from .child_job import ChildJob
 from .folder import new_folder, remove_folder
 from .messages import Broken, Finished, Message, Step
 from .outside_python import clean_environment
@@ -39,8 +40,11 @@ class Slot:
     slot: int = 0
 
 
-class Learning:
-    """A material being learned in a child process. Call tick() every 0.1 s until it says how it ended."""
+class Learning(ChildJob):
+    """A material being learned in a child process."""
+
+    what = "The process that learned"
+    killed = KILLED
 
     def __init__(self, python: str, lesson: Lesson, slot: Slot) -> None:
         """Starts. Raises HnfError; nothing is left behind then."""
@@ -48,7 +52,6 @@ class Learning:
         self._lesson, self._slot = lesson, slot
         self._training_since: float | None = None
         self.out = weights_path(lesson)
-        self._child: Child | None = None
         self.folder = new_folder()
         words = [python, str(WORKER), str(Path(errors.__file__).parent), to_text(lesson), str(self.out)]
         program = Program(
@@ -60,23 +63,6 @@ class Learning:
             self.clean()
             raise
         self._show(Step("starting", 0, 1))
-
-    @property
-    def pid(self) -> int | None:
-        """Of the child process, None when it is gone."""
-        return None if self._child is None else self._child.pid
-
-    def tick(self) -> LastJob | None:
-        """Go on for a moment; STATE.job tells how far. None while it runs, else how it ended, told in STATE.last_job
-        too."""
-        try:
-            ended = self._listen()
-        except HnfError as error:
-            ended = LastJob(False, str(error))
-        except BaseException:
-            self.cancel()
-            raise
-        return None if ended is None else self._end(ended)
 
     def cancel(self) -> LastJob:
         """Stop now; nothing is changed, and what was learned so far waits for the same choices."""
@@ -90,25 +76,6 @@ class Learning:
             self._child = None
         _sweep(self.folder, self.out)
         STATE.job = None
-
-    def _end(self, ended: LastJob) -> LastJob:
-        self.clean()
-        STATE.last_job = ended
-        return ended
-
-    def _listen(self) -> LastJob | None:
-        child = self._child
-        if child is None:
-            return LastJob(False, "It has ended already.")
-        code = child.exit_code()  # before its messages are read: what it said last is among them
-        for message in child.messages():
-            ended = self._hear(message, child)
-            if ended is not None:
-                return ended
-        if code is None:
-            return None
-        how = f"was killed (signal {-code})" if code < 0 else f"ended with code {code}"
-        return LastJob(False, f"The process that learned {how} before it was done. {KILLED}", child.last_lines)
 
     def _hear(self, message: Message, child: Child) -> LastJob | None:
         if isinstance(message, Broken):

@@ -21,6 +21,7 @@ from ..state.probe import ProbeView
 from ..state.session import STATE, JobStatus, LastJob
 from ..translations import tr
 from .child import Child, second_blender
+from .child_job import ChildJob
 from .commit import Committed, Place, commit_steps, place_of
 from .folder import new_folder, remove_folder
 from .messages import Began, Broken, Finished, Message, Step
@@ -45,15 +46,17 @@ class Prepared:
     place: Place
 
 
-class Bake:
-    """A bake in a child process, or a look at one place (place). Call tick() every 0.1 s until it says how it ended."""
+class Bake(ChildJob):
+    """A bake in a child process, or a look at one place (place)."""
+
+    what = "The bake's own process"
+    killed = KILLED
 
     def __init__(self, scene: Any, view_layer: Any, only: Sequence[str] = (), place: ProbePlace | None = None) -> None:
         """Saves a copy of what is open and starts. Raises HnfError; nothing is left behind then."""
         self.started = time.monotonic()
         check_saved(_named_surfaces(scene, only, place))
         self._prepared = prepare(scene, view_layer, only, place)
-        self._child: Child | None = None
         self._committing: Generator[None, None, Committed] | None = None
         self._result: Result | None = None
         self._working_since: float | None = None
@@ -70,26 +73,12 @@ class Bake:
         return self._prepared.folder
 
     @property
-    def pid(self) -> int | None:
-        """Of the child process, None when it is gone."""
-        return None if self._child is None else self._child.pid
-
-    @property
     def is_committing(self) -> bool:
         """The child has ended its work; what it made is compared and written."""
         return self._committing is not None
 
-    def tick(self) -> LastJob | None:
-        """Go on for a moment; STATE.job tells how far. None while it runs, else how it ended, told in STATE.last_job
-        too, and nothing of it is left."""
-        try:
-            ended = self._commit() if self._committing is not None else self._listen()
-        except HnfError as error:
-            ended = LastJob(False, str(error))
-        except BaseException:
-            self.cancel()
-            raise
-        return None if ended is None else self._end(ended)
+    def _go_on(self) -> LastJob | None:
+        return self._commit() if self._committing is not None else self._listen()
 
     def cancel(self) -> LastJob:
         """Stop now; nothing is left behind, nothing is changed."""
@@ -98,9 +87,7 @@ class Bake:
         return self._end(LastJob(True, tr("Bake cancelled. Nothing was changed; finished close-ups are kept.")))
 
     def _end(self, ended: LastJob) -> LastJob:
-        self.clean()
-        STATE.last_job = replace(ended, scene=self._prepared.order.scene)
-        return STATE.last_job
+        return super()._end(replace(ended, scene=self._prepared.order.scene))
 
     def clean(self) -> None:
         if self._child is not None:
@@ -111,23 +98,9 @@ class Bake:
         remove_folder(self.folder)
         STATE.job = None
 
-    def _listen(self) -> LastJob | None:
-        child = self._child
-        if child is None:
-            return LastJob(False, "The bake has ended already.")
-        code = child.exit_code()  # before its messages are read: what it said last is among them
-        for message in child.messages():
-            ended = self._hear(message)
-            if ended is not None or self._committing is not None:
-                return ended
-        if code is None:
-            return None
-        how = f"was killed (signal {-code})" if code < 0 else f"ended with code {code}"
-        return LastJob(False, f"The bake's own process {how} before it was done. {KILLED}", child.last_lines)
-
-    def _hear(self, message: Message) -> LastJob | None:
+    def _hear(self, message: Message, child: Child) -> LastJob | None:
         if isinstance(message, Broken):
-            return LastJob(False, message.why, () if self._child is None else self._child.last_lines)
+            return LastJob(False, message.why, child.last_lines)
         if isinstance(message, Finished):
             self._result = read_result(self.folder)
             if self._result.probed:
