@@ -8,7 +8,6 @@ from __future__ import annotations
 import platform
 import sys
 import textwrap
-import traceback
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +36,8 @@ def plain_words(error: Exception) -> str:
 
 def report(error: Exception) -> str:
     """Versions, place and traceback, for whoever helps."""
+    import traceback
+
     from .compat import version_text
 
     rows = (

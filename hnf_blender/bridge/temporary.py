@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+
+if TYPE_CHECKING:
+    import tempfile
+
+    from numpy.typing import ArrayLike
 
 SCENE_NAME = "hnf temporary"
 LAYER_NAME = "hnf"  # no dot: EXR channels are "<layer>.<pass>.<component>"
@@ -67,6 +70,8 @@ class Temporary:
     def folder(self) -> Path:
         """A folder that lasts as long as this context."""
         if self._folder is None:
+            import tempfile  # what only asks for SCENE_NAME needs no folders
+
             self._folder = tempfile.TemporaryDirectory(prefix="hnf-")
         return Path(self._folder.name)
 

@@ -6,9 +6,6 @@ import atexit
 
 
 def register() -> None:
-    from .folder import remove_abandoned
-
-    remove_abandoned()
     atexit.register(_stop)
 
 

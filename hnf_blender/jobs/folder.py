@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import sys
-import tempfile
 from pathlib import Path
 
 from hnf_core.errors import FileError
@@ -15,11 +13,16 @@ PREFIX = "hnf-job-"
 
 
 def job_root() -> Path:
+    import tempfile  # brings shutil and four packers along: 3 ms that switching on need not take
+
     return Path(tempfile.gettempdir())
 
 
 def new_folder() -> Path:
-    """A fresh, private folder of this process. Raises FileError where the disk refuses."""
+    """A fresh, private folder of this process; those of dead ones go. Raises FileError where the disk refuses."""
+    import tempfile
+
+    remove_abandoned()
     try:
         return Path(tempfile.mkdtemp(prefix=f"{PREFIX}{os.getpid()}-", dir=job_root()))
     except OSError as error:
@@ -31,6 +34,8 @@ def new_folder() -> Path:
 
 
 def remove_folder(folder: Path) -> None:
+    import shutil
+
     shutil.rmtree(folder, ignore_errors=True)
 
 

@@ -2,11 +2,10 @@
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import bpy
 
-from hnf_core.cli.probe import ProbePlace
 from hnf_core.errors import HnfError
 
 from ..jobs import current
@@ -15,6 +14,9 @@ from ..translations import tr
 from ..ui.texts import left_text
 from .greyed import greyed
 from .modal_job import ModalJob, no_job_runs
+
+if TYPE_CHECKING:
+    from hnf_core.cli.probe import ProbePlace
 
 
 class HNF_OT_probe(ModalJob, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types, Blender's naming
@@ -79,10 +81,12 @@ class HNF_OT_probe(ModalJob, bpy.types.Operator):  # type: ignore[misc]  # noqa:
         context.window.cursor_modal_restore()
         return {"RUNNING_MODAL"} if self._begin(context, place) else self.end(context, None)
 
-    def _begin(self, context: Any, place: ProbePlace) -> bool:
+    def _begin(self, context: Any, place: "ProbePlace") -> bool:
         return self.begin_job(context, lambda: current.start(context.scene, context.view_layer, place=place))
 
-    def _place(self) -> ProbePlace:
+    def _place(self) -> "ProbePlace":
+        from hnf_core.cli.probe import ProbePlace
+
         if not self.surface:
             raise HnfError("no place was named.", remedy="Give surface and at, or click on one in a window.")
         return ProbePlace(self.surface, tuple(float(value) for value in self.at))
@@ -100,8 +104,10 @@ class HNF_OT_probe(ModalJob, bpy.types.Operator):  # type: ignore[misc]  # noqa:
         return {"FINISHED"} if ended.ok else {"CANCELLED"}
 
 
-def clicked_place(context: Any, event: Any) -> ProbePlace | None:
+def clicked_place(context: Any, event: Any) -> "ProbePlace | None":
     """What lies under the mouse in a 3-D view: the place on it in its own coordinates; None where there is nothing."""
+    from hnf_core.cli.probe import ProbePlace
+
     from ..tool.pen import region_under, surface_under
 
     region = region_under(context, event)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import traceback
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -207,6 +206,8 @@ def _status(session: Session, obj: Any) -> StrokeStatus:
     except HnfError as error:
         why = str(error)
     except Exception as error:  # a fault of ours must not end the timer, and with it all statuses
+        import traceback
+
         traceback.print_exc()
         why = f"internal error ({error!r}). Please report it."
     return StrokeStatus(Freshness.BROKEN, why, object_name="" if surface is None else surface.name)

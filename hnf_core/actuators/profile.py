@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import UsageError
-from ..signal import Signal
 from .limits import Limits
 from .response import Response
+
+if TYPE_CHECKING:
+    from ..signal import Signal
 
 
 @dataclass(frozen=True)
