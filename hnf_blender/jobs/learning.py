@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from hnf_core import errors
 from hnf_core.cli.learn import TRAINING, Lesson
 from hnf_core.datasets.catalogue import LICENCES
 from hnf_core.errors import FileError, HnfError
-from hnf_core.field.learned import learned_material
+from hnf_core.field.learned import field_of, learned_material
 from hnf_core.files import content_hash
 from hnf_core.material.hnf_file import SUFFIX, MaterialFile, write_hnf
 
@@ -81,7 +81,7 @@ class Learning(ChildJob):
         if isinstance(message, Broken):
             return LastJob(False, message.why, child.last_lines)
         if isinstance(message, Finished):
-            return replace(self._give(), details=(LICENCES[self._lesson.kind],))
+            return self._give()
         if isinstance(message, Step):
             self._show(message)
         return None
@@ -96,7 +96,10 @@ class Learning(ChildJob):
         kept = learned_folder() / f"{_plain(definition.name)} ({self._lesson.kind}){SUFFIX}"
         write_hnf(kept, definition)
         self.out.unlink(missing_ok=True)
-        return LastJob(True, give_to(definition, self._slot, kept), written=1)
+        learned = field_of(definition)
+        told = "" if learned is None else learned.metadata.get("training_data", "")
+        details = tuple(text for text in (LICENCES[self._lesson.kind], told) if text)
+        return LastJob(True, give_to(definition, self._slot, kept), details, written=1)
 
     def _show(self, step: Step) -> None:
         now, left = time.monotonic(), None

@@ -2,6 +2,7 @@
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
+from pathlib import Path
 from typing import Any
 
 import bpy
@@ -21,6 +22,7 @@ EFFORTS = {"QUICK": (60.0, 10), "STANDARD": (480.0, 40)}
 """Effort → seconds of strokes where a data set holds models, and epochs at most."""
 KINDS = [
     ("simulated", "Simulated", "The contact simulator on a material of the library: needs no recordings"),
+    ("own", "Your Own", "A folder with a CSV table for each stroke: time, acceleration and, best, speed and force"),
     ("hatt", "HaTT", "Your copy of the Penn Haptic Texture Toolkit: models, recordings or both"),
     ("cluster", "Cluster", "Your copy of the Cluster Haptic Texture Database"),
     ("lmt", "LMT", "Your copy of an LMT haptic texture database. Speed and force were not recorded"),
@@ -32,9 +34,12 @@ class Choices:
 
     kind: bpy.props.EnumProperty(name="Recordings", description="Where the strokes come from", items=KINDS)
     folder: bpy.props.StringProperty(
-        name="Folder", description="Of your own copy of the recordings", subtype="DIR_PATH", options={"SKIP_SAVE"}
+        name="Folder", description="That the recordings lie in", subtype="DIR_PATH", options={"SKIP_SAVE"}
     )
-    name: bpy.props.StringProperty(name="Material", description="As the recordings call it, such as ABS Plastic")
+    name: bpy.props.StringProperty(
+        name="Material",
+        description="As the recordings call it, such as ABS Plastic; of your own, the folder of its tables",
+    )
     library: bpy.props.EnumProperty(
         name="Material", description="Material of the library to simulate", items=LIBRARY
     )  # fmt: skip
@@ -139,12 +144,14 @@ class HNF_OT_learn_run(Choices, ModalJob, bpy.types.Operator):  # type: ignore[m
         from ..jobs.learning import Slot
 
         simulated = self.kind == "simulated"
+        if not simulated and not self.folder:
+            raise HnfError("no folder is chosen.", remedy="Choose that of the recordings.")
+        folder = "" if simulated else bpy.path.abspath(self.folder)
         name = self.library if simulated else self.name.strip()
+        if self.kind == "own":
+            name = name or Path(folder).name
         if not name:
             raise HnfError("no material is named.", remedy="Name it as the recordings do.")
-        if not simulated and not self.folder:
-            raise HnfError("no folder is chosen.", remedy="Choose that of your own copy of the recordings.")
-        folder = "" if simulated else bpy.path.abspath(self.folder)
         obj = felt_object(context)
         slot = Slot() if obj is None else Slot(obj.name, obj.active_material_index)
         return python_path(), Lesson(self.kind, folder, name, *EFFORTS[self.effort]), slot

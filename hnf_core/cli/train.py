@@ -51,7 +51,7 @@ def _add_field(subjects: Any) -> None:
     )
     parser.add_argument(
         "--data", nargs="+", required=True, metavar=("KIND", "DIR"),
-        help="hatt, cluster or lmt and the folder of your copy, or simulated",
+        help="own, hatt, cluster or lmt and the folder of the recordings, or simulated",
     )  # fmt: skip
     parser.add_argument("--material", required=True, metavar="NAME", help="material, as the data set calls it")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="weights to write (.safetensors)")
@@ -139,4 +139,5 @@ def _in_words(record: dict[str, Any]) -> str:
             f"power {test['bias_db']:+.2f} dB"
         )
     )
-    return f"{record['weights']}: {record['material']}, {record['training_data']}; {held_out}"
+    noted = f" ({'; '.join(record['notes'])})" if record["notes"] else ""
+    return f"{record['weights']}: {record['material']}, {record['training_data']}{noted}; {held_out}"

@@ -10,11 +10,15 @@ from .cluster import ClusterFolder
 from .dataset import DataSet
 from .hatt import HattFolder
 from .lmt import LmtFolder
+from .own import OwnFolder
 from .simulated import SimulatedLibrary
 
-_FOLDERS: dict[str, Callable[[Path], DataSet]] = {"hatt": HattFolder, "cluster": ClusterFolder, "lmt": LmtFolder}
+_FOLDERS: dict[str, Callable[[Path], DataSet]] = {
+    "own": OwnFolder, "hatt": HattFolder, "cluster": ClusterFolder, "lmt": LmtFolder,
+}  # fmt: skip
 KINDS = (*_FOLDERS, "simulated")
 LICENCES = {
+    "own": "trained on the user's own recordings",
     "hatt": "trained on the Penn Haptic Texture Toolkit: non-profit research only, not to be redistributed",
     "cluster": "trained on the Cluster Haptic Texture Database (CC BY 4.0, doi 10.6084/m9.figshare.29438288)",
     "lmt": "trained on the LMT haptic texture database: its own terms apply",
@@ -35,5 +39,5 @@ def open_dataset(kind: str, folder: Path | None) -> DataSet:
             raise UsageError("simulated data have no folder.", remedy="Leave the folder out.")
         return SimulatedLibrary()
     if folder is None:
-        raise UsageError(f"{kind} needs the folder of your own copy.", remedy=f"For example: --data {kind} DIR")
+        raise UsageError(f"{kind} needs the folder of your recordings.", remedy=f"For example: --data {kind} DIR")
     return _FOLDERS[kind](folder)

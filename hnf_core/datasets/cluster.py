@@ -27,6 +27,7 @@ from .series import (
     hand_series,
     motion,
     resampled,
+    sampling_of,
     straight_direction,
     whole_action_samples,
 )
@@ -37,9 +38,6 @@ Float = NDArray[np.float64]
 FAMILIES = ((38, "wood"), (49, "stone"), (65, "polymer"), (74, "metal"), (79, "glass"), (82, "composite"),
             (87, "ceramic"), (102, "biodegradable"), (118, "cloth"))  # fmt: skip
 """First identity beyond each family."""
-SLOWEST_SAMPLING_HZ = 2000.0
-"""Slower than this, an accelerometer does not hold the touch band."""
-LONG_GAP_S = 5e-3
 _NAME = re.compile(r"(\d+)_(\d+(?:\.\d+)?)_(\d+(?:\.\d+)?)_(\d+(?:\.\d+)?)_(\d+)")
 
 
@@ -111,13 +109,7 @@ def read_stroke(files: dict[str, Path], material: str) -> Recording:
     path = files["accel"]
     where = str(path)
     time, axes = _series(path, ("X", "Y", "Z"), "acceleration", "g")
-    rate = (len(time) - 1) / float(time[-1] - time[0])
-    if rate < SLOWEST_SAMPLING_HZ:
-        raise FileError(
-            f"sampled {rate:.0f} times a second only.",
-            where=where,
-            remedy=f"Its time column should be in seconds; {SLOWEST_SAMPLING_HZ:g} Hz are the least.",
-        )
+    rate, of_the_grid = sampling_of(time, where)
     force = _series(files["force"], ("force",), "force", "N") if "force" in files else None
     place = _series(files["position"], ("X", "Y"), "position", "mm") if "position" in files else None
     grids = [time, *(series[0] for series in (force, place) if series is not None)]
@@ -125,10 +117,8 @@ def read_stroke(files: dict[str, Path], material: str) -> Recording:
     count = whole_action_samples(stop - start, where)
     at = start + np.arange(round((count - 1) / 200.0 * SIGNAL_RATE_HZ)) / SIGNAL_RATE_HZ
     samples = resampled(time, axes, at)
-    known, notes = set(), [f"{rate:.0f} Hz resampled to 10 kHz; gravity removed", "the probe is taken as the pen"]
-    gap = float(np.diff(time).max())
-    if gap > LONG_GAP_S:
-        notes.append(f"a gap of {1e3 * gap:.0f} ms between samples is bridged")
+    resampled_from = f"{rate:.0f} Hz resampled to 10 kHz; gravity removed"
+    known, notes = set(), [resampled_from, "the probe is taken as the pen", *of_the_grid]
     angle, speed, newtons = _announced(path)
     if force is None:
         pressed = np.full(count, newtons)

@@ -31,35 +31,51 @@ def read_text(path: Path) -> str:
     return text
 
 
+def read_header(path: Path) -> list[str]:
+    """Names of a CSV's columns in lower case, without their units in brackets; "" for what is no name. Raises FileError
+    as read_table."""
+    return _header(_lines(path))[0]
+
+
 def read_table(path: Path, wanted: tuple[str, ...]) -> tuple[Float, dict[str, str]]:
     """CSV → (n, len(wanted)) numbers, and the unit in brackets behind a column's name where the header has one.
 
-    Case, order and further columns do not matter; comma, semicolon or tab separate. Raises FileError for a column that
+    Case, order and further columns do not matter; comma, semicolon or tab separate, and where it is not the comma, that
+    may stand for the decimal point. Raises FileError for a column that
     is missing, a cell that is no finite number, or no rows.
     """
-    where = str(path)
-    numbered = [(number, line) for number, line in enumerate(read_text(path).splitlines(), start=1) if line.strip()]
-    first = numbered[0][1] if numbered else ""
-    separator = max((",", ";", "\t"), key=first.count)
-    header = [re.match(r"\s*([^(\[]*?)\s*(?:[(\[](.*)[)\]])?\s*$", cell) for cell in first.split(separator)]
-    names = [match[1].strip('"').lower() if match else "" for match in header]
+    where, numbered = str(path), _lines(path)
+    names, written, separator = _header(numbered)
     missing = [name for name in wanted if name.lower() not in names]
     if missing:
         raise FileError(
             f"column {missing[0]} is missing.", where=where, remedy=f"A header {','.join(wanted)} is expected."
         )
     places = [names.index(name.lower()) for name in wanted]
-    units = {
-        name: match[2] for name, place in zip(wanted, places, strict=True) if (match := header[place]) and match[2]
-    }
+    units = {name: written[place] for name, place in zip(wanted, places, strict=True) if written[place]}
     if len(numbered) < 2:
         raise FileError("it has no rows.", where=where, remedy=_AGAIN)
     return _numbers(numbered[1:], separator, places, where), units
 
 
+def _lines(path: Path) -> list[tuple[int, str]]:
+    """Those that are not empty, each with its number."""
+    return [(number, line) for number, line in enumerate(read_text(path).splitlines(), start=1) if line.strip()]
+
+
+def _header(numbered: list[tuple[int, str]]) -> tuple[list[str], list[str], str]:
+    """Of each column the name in lower case and the unit in brackets, "" where there is none; and the separator."""
+    first = numbered[0][1] if numbered else ""
+    separator = max((",", ";", "\t"), key=first.count)
+    cells = [
+        re.match(r"\s*([^(\[]*?)\s*(?:[(\[](.*)[)\]])?\s*$", cell.replace('"', "")) for cell in first.split(separator)
+    ]
+    return [cell[1].lower() if cell else "" for cell in cells], [(cell and cell[2]) or "" for cell in cells], separator
+
+
 def read_numbers(path: Path) -> Float:
     """One number a line → (n,). Raises FileError for a line that is not one finite number, or for none."""
-    numbered = [(number, line) for number, line in enumerate(read_text(path).splitlines(), start=1) if line.strip()]
+    numbered = _lines(path)
     if not numbered:
         raise FileError("it is empty.", where=str(path), remedy=_AGAIN)
     return _numbers(numbered, ",", [0], str(path))[:, 0]
@@ -67,6 +83,8 @@ def read_numbers(path: Path) -> Float:
 
 def _numbers(numbered: list[tuple[int, str]], separator: str, places: list[int], where: str) -> Float:
     """Lines with their numbers → (n, len(places)); which line is at fault is only looked for where one is."""
+    if separator != ",":
+        numbered = [(number, line.replace(",", ".")) for number, line in numbered]
     try:
         lines = (line for _, line in numbered)
         values = np.loadtxt(lines, delimiter=separator, usecols=places, comments=None, ndmin=2)

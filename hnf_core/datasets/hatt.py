@@ -12,7 +12,8 @@ from .autoregressive import PROCESS_RATE_HZ, HattProcess
 from .dataset import ActionRange, DataSet, range_of
 from .folders import files_below, opening
 from .hatt_models import TextureModel, read_texture_model
-from .hatt_recordings import QUANTITIES, assemble, quantity_in, read_signals
+from .hatt_recordings import QUANTITIES, quantity_in, read_signals
+from .measured import assemble
 from .names import match_name, plain_name
 from .recording import Recording
 

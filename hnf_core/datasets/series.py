@@ -17,6 +17,11 @@ carries the answer would be learned from instead of the material."""
 RESTING_M_S = 1e-3
 """Slower than this, the last direction is kept: below it a tracked position is mostly noise."""
 SHORTEST_S = 0.1
+SLOWEST_SAMPLING_HZ = 2000.0
+"""Slower than this, an accelerometer does not hold the touch band."""
+LONG_GAP_S = 5e-3
+WRITTEN = 1e-5
+"""Of a rate: what rounded times make of a whole number."""
 AROUND_S = 0.2
 """What smoothing may look at beyond the part that is kept."""
 
@@ -29,6 +34,22 @@ def check_grid(time: Float, where: str) -> None:
     if standing.any():
         row = int(np.argmax(standing)) + 2
         raise FileError(f"time does not rise at sample {row}.", where=where, remedy="Get the file again.")
+
+
+def sampling_of(time: Float, where: str) -> tuple[float, tuple[str, ...]]:
+    """Mean rate [Hz] of a grid of accelerations, and a note of its longest gap where that is long. Raises FileError
+    where it is too slow."""
+    rate = (len(time) - 1) / float(time[-1] - time[0])
+    if rate < SLOWEST_SAMPLING_HZ:
+        raise FileError(
+            f"sampled {rate:.0f} times a second only.",
+            where=where,
+            remedy=f"Its time column should be in seconds; {SLOWEST_SAMPLING_HZ:g} Hz are the least.",
+        )
+    gap = float(np.diff(time).max())
+    if abs(rate - round(rate)) < WRITTEN * rate:
+        rate = float(round(rate))
+    return rate, (f"a gap of {1e3 * gap:.0f} ms between samples is bridged",) if gap > LONG_GAP_S else ()
 
 
 def resampled(time: Float, values: Float, at: Float) -> Float:

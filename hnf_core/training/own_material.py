@@ -26,8 +26,8 @@ Float = NDArray[np.float64]
 
 FINE_HZ = 10.0
 PAST_STATES = 5
-ARC_KINDS = ("cluster", "simulated")
-"""Data in which tones glide with the speed. HaTT's models hold none: each is a filter that changes with speed, and arc
+ARC_KINDS = ("own", "cluster", "simulated")
+"""Data in which tones glide with the speed, where that was recorded. HaTT's models hold none: each is a filter that changes with speed, and arc
 carriers would only be a second way to say the same."""
 
 
@@ -90,7 +90,8 @@ def train_own(
     """
     name = recordings[0].material
     token, mechanics = _described(kind, name)
-    config = config_for(recordings, arc=kind in ARC_KINDS, token_known=token is not None)
+    paced = any("speed" in recording.known for recording in recordings)
+    config = config_for(recordings, arc=paced and kind in ARC_KINDS, token_known=token is not None)
     chosen = {key: value for key, value in dataclasses.asdict(choices).items() if value is not None}
     epochs = chosen.pop("epochs", Schedule().epochs)
     trained = train_material(

@@ -69,12 +69,13 @@ def program(path: Path, script: str) -> str:
 
 
 def lesson_of(folder: Path, epochs: int = 3) -> Lesson:
-    """Three seconds of noise, as LMT's files hold them."""
-    path = folder / "lmt" / "Training" / "Accel" / f"{NAME}_query0.txt"
+    """Three seconds of noise, as somebody wrote them down."""
+    path = folder / "mine" / NAME / "one.csv"
     path.parent.mkdir(parents=True, exist_ok=True)
-    noise = np.random.default_rng(3).standard_normal(30_000)
-    path.write_text("\n".join(f"{value:.5g}" for value in noise), encoding="utf-8")
-    return Lesson("lmt", str(folder / "lmt"), NAME, 5.0, epochs)
+    time, noise = np.arange(30_000) / 1e4, np.random.default_rng(3).standard_normal(30_000)
+    rows = np.stack([time, noise, 1.0 + 0.5 * np.sin(3.0 * time)], axis=1)
+    np.savetxt(path, rows, "%.5g", ",", header="time [s],acceleration [m/s^2],force [N]", comments="")
+    return Lesson("own", str(folder / "mine"), NAME, 5.0, epochs)
 
 
 def begin(lesson: Lesson, python: str = sys.executable) -> Learning:
@@ -186,11 +187,12 @@ def test_a_lesson_goes_on_after_a_cancel_and_its_material_is_heard(warm_bake, le
     reach("epoch", done + 1)
     ended = finish(again)
     assert ended.ok, ended
-    assert (ended.written, ended.details) == (1, (LICENCES["lmt"],))
-    assert [path.name for path in learned.iterdir()] == [f"{NAME} (lmt).hnf"]
+    assert (ended.written, ended.details[0]) == (1, LICENCES["own"])
+    assert "no speed was recorded: 0.1 m/s assumed" in ended.details[1]
+    assert [path.name for path in learned.iterdir()] == [f"{NAME} (own).hnf"]
     material = own_word(plate.active_material)
-    assert material == read_hnf(learned / f"{NAME} (lmt).hnf")
-    assert (material.name, material.licence) == (NAME, LICENCES["lmt"])
+    assert material == read_hnf(learned / f"{NAME} (own).hnf")
+    assert (material.name, material.licence) == (NAME, LICENCES["own"])
 
     assert running.bake_in_line(bpy.context.scene, bpy.context.view_layer).ok
     bake = load_bake(stroke)
@@ -222,6 +224,7 @@ def test_a_killed_lesson_is_told(lone_bake, learned, tmp_path) -> None:
     [
         (Lesson("simulated", "", "unobtainium", 5.0, 1), "unobtainium"),
         (Lesson("hatt", "/nowhere", "ABS Plastic", 5.0, 1), "/nowhere"),
+        (Lesson("own", str(Path(__file__).parent), "felt", 5.0, 1), "no CSV table"),
     ],
 )
 def test_a_lesson_that_cannot_be_is_told_in_its_own_words(lone_bake, learned, name_python, lesson, said) -> None:
