@@ -8,7 +8,6 @@ wave itself, at κ: hence the cut takes a weight per κ.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,18 +80,17 @@ def cut(texture: Texture, weight: Float, carriers: Carriers) -> Float:
 
 def cut_noise(texture: Texture, weight: Float, carriers: Carriers) -> Float:
     """What noise, without the lattice's tones, gives to cut(): weight (..., n, Ka) → (..., n, Ka)."""
-    # Wavenumbers first, so that a run of them is one piece of memory.
+    # Wavenumbers first, so that those beyond a shift are one piece of memory.
     weighted = np.ascontiguousarray(np.moveaxis(texture.noise * weight, -1, -2))
-    out, count = np.zeros_like(weighted), weighted.shape[-2]
+    out, part, count = np.zeros_like(weighted), np.empty_like(weighted), weighted.shape[-2]
     # δ and 180° − δ move a wave alike, so their densities are one.
     density = (texture.density[: ANGLES // 2] + texture.density[: ANGLES // 2 - 1 : -1]) / ANGLES
-    runs = np.concatenate([[0], np.flatnonzero(np.diff(texture.band)) + 1, [count]])
-    for angle, moved in zip(_GRID_ANGLES[: ANGLES // 2], np.swapaxes(density, 1, 2), strict=True):
+    moved = np.take(np.swapaxes(density, 1, 2), texture.band, axis=1)
+    for angle, share in zip(_GRID_ANGLES[: ANGLES // 2], moved, strict=True):
         shift = int(np.rint(-ARC_PER_OCTAVE * np.log2(np.abs(np.cos(angle)))))
-        for low, high in pairwise(runs.tolist()):
-            first = max(low, shift)
-            if first < high:
-                out[..., first - shift : high - shift, :] += weighted[..., first:high, :] * moved[texture.band[low]]
+        if shift < count:
+            np.multiply(weighted[..., shift:, :], share[shift:], out=part[..., shift:, :])
+            out[..., : count - shift, :] += part[..., shift:, :]
     return np.moveaxis(out, -1, -2)
 
 

@@ -27,8 +27,8 @@ Float = NDArray[np.float64]
 FINE_HZ = 10.0
 PAST_STATES = 5
 ARC_KINDS = ("own", "cluster", "simulated")
-"""Data in which tones glide with the speed, where that was recorded. HaTT's models hold none: each is a filter that changes with speed, and arc
-carriers would only be a second way to say the same."""
+"""Data in which tones glide with the speed, where that was recorded. HaTT's models hold none: each is a filter that
+changes with speed, and arc carriers would only be a second way to say the same."""
 
 
 @dataclass(frozen=True)
