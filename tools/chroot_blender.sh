@@ -4,7 +4,8 @@
 #   tools/chroot_blender.sh ensure          build it where it is missing (root; 3 minutes, 2 GB)
 #   tools/chroot_blender.sh path            print where it lies; exit 1 where it is not built
 #   tools/chroot_blender.sh run CMD...      run CMD inside, without network, the checkout mounted read-only on /hnf,
-#                                           $HNF_CHROOT_SHARE (if set) read-write on /share
+#                                           $HNF_CHROOT_SHARE (if set) read-write on /share, and the files and
+#                                           folders of $HNF_CHROOT_LENT (by colons) read-only, each where it lies here
 #   tools/chroot_blender.sh remove          delete it
 #
 # $HNF_CHROOT names the folder (default build/chroot); $HNF_CHROOT_SUITES the Debian suites to try in turn.
@@ -34,7 +35,7 @@ enter() {
     local chroot=$1
     shift
     HNF_INNER_ROOT=$chroot HNF_INNER_REPO=$repo HNF_INNER_SHARE=${HNF_CHROOT_SHARE:-} \
-        unshare --mount --pid --fork --kill-child --propagation private ${isolation:-} bash -euc '
+        HNF_INNER_LENT=${HNF_CHROOT_LENT:-} unshare --mount --pid --fork --kill-child --propagation private ${isolation:-} bash -euc '
         r=$HNF_INNER_ROOT
         mount -t proc proc "$r/proc"
         mount -t sysfs -o ro sysfs "$r/sys"
@@ -53,6 +54,13 @@ enter() {
         mount --bind "$HNF_INNER_REPO" "$r/hnf"
         mount -o remount,bind,ro "$r/hnf"
         if [ -n "$HNF_INNER_SHARE" ]; then mount --bind "$HNF_INNER_SHARE" "$r/share"; fi
+        IFS=:
+        for lent in $HNF_INNER_LENT; do
+            if [ -d "$lent" ]; then mkdir -p "$r$lent"; else mkdir -p "$r${lent%/*}"; : >>"$r$lent"; fi
+            mount --bind "$lent" "$r$lent"
+            mount -o remount,bind,ro "$r$lent"
+        done
+        unset IFS
         # No exec: as process 1 of the namespace, coreutils 9.10 `timeout` takes its child for an orphan and fails.
         status=0
         chroot "$r" "$@" || status=$?
@@ -125,7 +133,7 @@ case "$verb" in
         rm -rf --one-file-system "$root"
         ;;
     *)
-        sed -n '2,14p' "$0" >&2
+        sed -n '2,15p' "$0" >&2
         exit 2
         ;;
 esac

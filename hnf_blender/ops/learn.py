@@ -3,7 +3,7 @@
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import bpy
 
@@ -12,11 +12,16 @@ from hnf_core.errors import HnfError
 from ..jobs import current
 from ..state.session import STATE, JobStatus, LastJob
 from ..translations import tr
-from ..ui.texts import job_text, left_text
+from ..ui.layout import CHARACTER_PX, MARGIN_PX
+from ..ui.texts import job_text, left_text, wrapped
+from .active import one_line
 from .greyed import greyed
 from .materials import LIBRARY, felt_object
 from .modal_job import ModalJob, no_job_runs
 from .outside_python import python_path
+
+if TYPE_CHECKING:
+    from hnf_core.cli.learn import Lesson
 
 EFFORTS = {"QUICK": (60.0, 10), "STANDARD": (480.0, 40)}
 """Effort → seconds of strokes where a data set holds models, and epochs at most."""
@@ -27,6 +32,9 @@ KINDS = [
     ("cluster", "Cluster", "Your copy of the Cluster Haptic Texture Database"),
     ("lmt", "LMT", "Your copy of an LMT haptic texture database. Speed and force were not recorded"),
 ]
+DIALOG_PX = 420
+LAST: dict[str, str] = {}
+"""What was asked for last in this session: a lesson that was cancelled goes on where the same is asked for again."""
 
 
 class Choices:
@@ -74,6 +82,22 @@ def can_learn(operator: Any) -> bool:
     return True
 
 
+def lesson_of(choices: Choices) -> "Lesson":
+    """What is to be learned. Raises HnfError where a choice is missing."""
+    from hnf_core.cli.learn import Lesson
+
+    simulated = choices.kind == "simulated"
+    if not simulated and not choices.folder:
+        raise HnfError("no folder is chosen.", remedy="Choose that of the recordings.")
+    folder = "" if simulated else bpy.path.abspath(choices.folder)
+    name = choices.library if simulated else choices.name.strip()
+    if choices.kind == "own":
+        name = name or Path(folder).name
+    if not name:
+        raise HnfError("no material is named.", remedy="Name it as the recordings do.")
+    return Lesson(choices.kind, folder, name, *EFFORTS[choices.effort])
+
+
 class HNF_OT_learn(Choices, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types
     """Asks, and begins hnf.learn_run: what a dialog calls cannot go on beside the window itself."""
 
@@ -89,13 +113,17 @@ class HNF_OT_learn(Choices, bpy.types.Operator):  # type: ignore[misc]  # noqa: 
         return can_learn(cls)
 
     def invoke(self, context: Any, _event: Any) -> set[str]:
-        return set(context.window_manager.invoke_props_dialog(self, width=420))
+        for name, value in LAST.items():
+            if not self.properties.is_property_set(name):
+                setattr(self, name, value)
+        return set(context.window_manager.invoke_props_dialog(self, width=DIALOG_PX))
 
     def draw(self, _context: Any) -> None:
         from hnf_core.datasets.catalogue import LICENCES
 
         layout = self.layout
         layout.use_property_split = True
+        layout.use_property_decorate = False
         layout.prop(self, "kind")
         if self.kind == "simulated":
             layout.prop(self, "library")
@@ -104,12 +132,26 @@ class HNF_OT_learn(Choices, bpy.types.Operator):  # type: ignore[misc]  # noqa: 
             layout.prop(self, "name")
         layout.prop(self, "effort")
         text = tr("Licence of what is learned: {licence}").format(licence=LICENCES[self.kind])
-        layout.label(text=text, icon="INFO", translate=False)
+        column = layout.column(align=True)
+        column.scale_y = 0.8
+        for place, line in enumerate(wrapped(text, int((DIALOG_PX - MARGIN_PX) / CHARACTER_PX))):
+            column.label(text=line, icon="BLANK1" if place else "INFO", translate=False)
 
     def execute(self, _context: Any) -> set[str]:
         how = "EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT"
         choices = {name: getattr(self, name) for name in Choices.__annotations__}
-        return set(bpy.ops.hnf.learn_run(how, **choices))
+        LAST.update(choices)
+        try:
+            lesson_of(self)  # a choice that is missing is no error of a program
+            done = set(bpy.ops.hnf.learn_run(how, **choices))
+        except HnfError as error:
+            self.report({"ERROR"}, one_line(error))
+            return {"CANCELLED"}
+        except RuntimeError as error:  # what the other one reported as an error
+            self.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
+            return {"CANCELLED"}
+        # This operator has done its part: as one that goes on, Blender would never free it.
+        return {"FINISHED"} if done == {"RUNNING_MODAL"} else done
 
 
 class HNF_OT_learn_run(Choices, ModalJob, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
@@ -139,22 +181,11 @@ class HNF_OT_learn_run(Choices, ModalJob, bpy.types.Operator):  # type: ignore[m
 
     def _asked(self, context: Any) -> tuple[Any, ...]:
         """What Learning takes. Raises HnfError where a choice is missing."""
-        from hnf_core.cli.learn import Lesson
-
         from ..jobs.learning import Slot
 
-        simulated = self.kind == "simulated"
-        if not simulated and not self.folder:
-            raise HnfError("no folder is chosen.", remedy="Choose that of the recordings.")
-        folder = "" if simulated else bpy.path.abspath(self.folder)
-        name = self.library if simulated else self.name.strip()
-        if self.kind == "own":
-            name = name or Path(folder).name
-        if not name:
-            raise HnfError("no material is named.", remedy="Name it as the recordings do.")
         obj = felt_object(context)
         slot = Slot() if obj is None else Slot(obj.name, obj.active_material_index)
-        return python_path(), Lesson(self.kind, folder, name, *EFFORTS[self.effort]), slot
+        return python_path(), lesson_of(self), slot
 
     def job_line(self, job: JobStatus) -> str:
         return f"{tr('Learning a material')}: {job_text(job)}, {left_text(job)}"
@@ -164,7 +195,7 @@ class HNF_OT_learn_run(Choices, ModalJob, bpy.types.Operator):  # type: ignore[m
         if not ended.ok:
             self.report({"ERROR"}, ended.message)
             return {"CANCELLED"}
-        self.report({"INFO"}, " ".join([ended.message, *ended.details]))
+        self.report({"INFO"}, ". ".join([ended.message, *ended.details]))
         return {"FINISHED"} if ended.written else {"CANCELLED"}
 
 

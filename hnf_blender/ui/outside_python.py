@@ -7,12 +7,17 @@ from typing import Any
 from ..ops.outside_python import found_text
 from ..state.session import STATE
 
+CHECK_WIDTH = 4.5
+"""Of the button [interface units]."""
+
 
 def draw_outside_python(layout: Any, preferences: Any) -> None:
     box = layout.box()
     row = box.row(align=True)
     row.prop(preferences, "external_python")
-    row.operator("hnf.python_check", text="Check", icon="VIEWZOOM")
+    button = row.row(align=True)
+    button.ui_units_x = CHECK_WIDTH  # the rest is the path's: half a row is too short for one
+    button.operator("hnf.python_check", text="Check", icon="VIEWZOOM")
     found = STATE.outside
     if found is None or found.path != preferences.external_python:
         box.label(text="Only learning a material needs it. Name one and check it", icon="INFO")

@@ -101,7 +101,7 @@ def draw_last_job(layout: Any, context: Any) -> None:
     box.alert = not last.ok and not last.written  # half a success is no alarm
     paragraph(box, context, last.message, icon="CHECKMARK" if last.ok else "ERROR")
     for detail in last.details[:MOST_LINES]:
-        paragraph(box, context, detail, icon="BLANK1")
+        paragraph(box, context, detail, icon="DOT")  # each begins with one: several lines would run together
 
 
 class HNF_PT_plan(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801

@@ -10,6 +10,7 @@ from pathlib import Path
 import build_extension
 import pytest
 
+from . import lent_python
 from .session import CHROOT, HERE, App, Played, constant_of, play, scenarios
 
 UNAVAILABLE = 3  # exit code of tools/chroot_blender.sh where this machine cannot have it
@@ -27,6 +28,7 @@ def bare_app(tmp_path_factory: pytest.TempPathFactory) -> App:
     share = tmp_path_factory.mktemp("share")
     (share / "home").mkdir()
     (share / "profile").mkdir()
+    lent_python.lend(share)
     return App(share)
 
 

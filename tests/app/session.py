@@ -12,6 +12,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from . import lent_python
+
 ROOT = Path(__file__).resolve().parents[2]
 CHROOT = ROOT / "tools" / "chroot_blender.sh"
 PICTURES = ROOT / "build" / "app"
@@ -54,7 +56,8 @@ class App:
         inside = ["env", *places, *command]
         process = subprocess.Popen(
             [str(CHROOT), "run", *inside],
-            env=os.environ | {"HNF_CHROOT_SHARE": str(self.share)},
+            env=os.environ
+            | {"HNF_CHROOT_SHARE": str(self.share), "HNF_CHROOT_LENT": ":".join(map(str, lent_python.parts()))},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

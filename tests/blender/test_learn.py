@@ -22,7 +22,7 @@ from hnf_blender.jobs.learning import Learning, Slot, give_to, weights_path
 from hnf_blender.jobs.outside_python import look
 from hnf_blender.ops import outside_python as python_ops
 from hnf_blender.ops.diagnose import collect
-from hnf_blender.ops.learn import HNF_OT_learn, HNF_OT_learn_run
+from hnf_blender.ops.learn import LAST, HNF_OT_learn, HNF_OT_learn_run
 from hnf_blender.prefs import HnfPreferences, Settings
 from hnf_blender.preview.hearing import Kept, hear
 from hnf_blender.preview.pictures import Look
@@ -40,6 +40,8 @@ from hnf_core.material.library import find
 pytestmark = pytest.mark.usefixtures("operators")
 NO_TORCH = importlib.util.find_spec("torch") is None
 NAME = "CoarseMesh"
+WIDEST = 55
+"""Characters of a line that fit into the dialog; Blender cuts the middle out of longer ones."""
 
 
 @pytest.fixture
@@ -50,6 +52,7 @@ def learned(tmp_path, monkeypatch) -> Path:
     monkeypatch.setattr(learning, "learned_folder", lambda: folder)
     yield folder
     STATE.outside = None
+    LAST.clear()
 
 
 @pytest.fixture
@@ -163,7 +166,8 @@ def test_without_a_python_the_button_says_why(lone_bake) -> None:
 def test_the_dialog_shows_the_licence_of_what_is_learned(kind) -> None:
     said = Recorder()
     HNF_OT_learn.draw(SimpleNamespace(layout=said, kind=kind, bl_rna=rna_of("hnf.learn")), context_of())
-    assert LICENCES[kind] in said.words
+    assert LICENCES[kind] in " ".join(said.words.split("\n"))
+    assert max(map(len, said.words.split("\n"))) <= WIDEST
     assert ("folder" in said.props) == (kind != "simulated")
 
 
@@ -243,6 +247,27 @@ def test_a_python_that_is_none_leaves_nothing(lone_bake, learned, tmp_path, name
         bpy.ops.hnf.learn_run(kind="hatt", name="ABS Plastic")
     assert my_folders() == []
     assert current.cancel() is False
+
+
+def test_the_dialog_tells_what_is_missing_and_no_traceback(lone_bake, learned, tmp_path, name_python, capfd) -> None:
+    name_python(tmp_path / "gone")
+    with pytest.raises(RuntimeError, match="No folder is chosen") as missing:
+        bpy.ops.hnf.learn(kind="hatt", name="ABS Plastic")
+    with pytest.raises(RuntimeError, match="the external Python could not be started") as gone:
+        bpy.ops.hnf.learn(kind="simulated", library="oak-wood")
+    assert not any("Traceback" in str(told.value) for told in (missing, gone))
+    assert "Traceback" not in capfd.readouterr().err
+
+
+def test_the_dialog_opens_with_what_was_asked_for_last(lone_bake, learned, tmp_path, name_python) -> None:
+    """What a script names goes before it."""
+    name_python(tmp_path / "gone")
+    with pytest.raises(RuntimeError):
+        bpy.ops.hnf.learn(kind="lmt", name=NAME, effort="QUICK")
+    operator = SimpleNamespace(properties=SimpleNamespace(is_property_set=lambda name: name == "name"), name="Wood")
+    context = SimpleNamespace(window_manager=SimpleNamespace(invoke_props_dialog=lambda *_, **__: {"RUNNING_MODAL"}))
+    assert HNF_OT_learn.invoke(operator, context, None) == {"RUNNING_MODAL"}
+    assert (operator.kind, operator.effort, operator.name) == ("lmt", "QUICK", "Wood")
 
 
 def test_a_lessons_parent_that_dies_takes_it_along(tmp_path) -> None:
