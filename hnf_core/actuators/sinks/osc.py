@@ -35,7 +35,7 @@ RATE_HZ = 4000.0
 
 SLOT_S = 0.01
 QUEUE_S = 0.015
-SILENCE_SLOTS = 10
+SILENCE_SLOTS, AGAIN_S = 10, 1e-3
 ADDRESS = "/hnf"
 _SLOT = round(SLOT_S * RATE_HZ)
 
@@ -154,6 +154,9 @@ class OscSink:
                 if silent <= SILENCE_SLOTS or closing:
                     self._say(level, pitch)
                 if closing:
+                    for _ in range(SILENCE_SLOTS - silent):  # no later slot would say it again
+                        time.sleep(AGAIN_S)
+                        self._say(level, pitch)
                     return
                 due = max(due + SLOT_S, time.monotonic() - SLOT_S)
         except Exception as error:  # whatever it was, who waits for room must hear of it
