@@ -42,10 +42,11 @@ CHOSEN: dict[str, Cut] = {
     "first-sequencer": Cut("tutorial/sequencer", (0, 915, 1116, 1465)),
     "panel-scene": Cut("tutorial/heard", (830, 80, 1090, 250)),
     "panel-materials": Cut("panels/baked", (767, 369, 1021, 662)),
-    "panel-strokes": Cut("tutorial/heard", (830, 445, 1090, 934)),
+    "panel-strokes": Cut("tutorial/heard", (830, 598, 1090, 1087)),
     "panel-actuator": Cut("actuator/playing", (717, 250, 1022, 775)),
     "assets": Cut("extension/asset-browser", (250, 55, 1255, 330)),
-    "preferences": Cut("panels/preferences", (278, 1192, 972, 1398)),
+    "learn": Cut("learning/dialog-filled", (487, 432, 935, 653)),
+    "preferences": Cut("learning/python-found", (176, 310, 1046, 560)),
     "tool-settings": Cut("tutorial/drawing", (0, 55, 1116, 82)),
 }
 """Name in docs/images/ui → where it comes from."""
