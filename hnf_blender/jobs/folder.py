@@ -22,13 +22,15 @@ def new_folder() -> Path:
     """A fresh, private folder of this process; those of dead ones go. Raises FileError where the disk refuses."""
     import tempfile
 
-    remove_abandoned()
+    where = ""
     try:
-        return Path(tempfile.mkdtemp(prefix=f"{PREFIX}{os.getpid()}-", dir=job_root()))
+        where = str(job_root())
+        remove_abandoned()
+        return Path(tempfile.mkdtemp(prefix=f"{PREFIX}{os.getpid()}-", dir=where))
     except OSError as error:
         raise FileError(
             f"no temporary folder can be made ({error.strerror}).",
-            where=str(job_root()),
+            where=where or "the system's temporary folder",
             remedy="Free some disk space, or set another temporary folder for the system.",
         ) from error
 

@@ -126,6 +126,17 @@ def test_what_changed_has_a_name_and_keys_follow_it() -> None:
     assert Inputs.from_text(None) is None
 
 
+def test_without_a_temporary_folder_it_is_said_in_words(monkeypatch) -> None:
+    """As tempfile does it where every disk is full."""
+
+    def none() -> None:
+        raise FileNotFoundError(2, "No usable temporary directory found")
+
+    monkeypatch.setattr(folder, "job_root", none)
+    with pytest.raises(FileError, match="no temporary folder can be made"):
+        folder.new_folder()
+
+
 def test_only_folders_of_the_dead_are_abandoned(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(folder, "job_root", lambda: tmp_path)
     mine = folder.new_folder()

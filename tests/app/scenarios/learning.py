@@ -19,11 +19,12 @@ FIELDS = ("effort", "name", "folder", "kind")
 
 
 def record():
-    """A tiny set of recordings as LMT's files hold them: noise."""
-    path = RECORDINGS / "Training" / "Accel" / f"{MATERIAL}_query0.txt"
+    """A recording of one's own: noise."""
+    path = RECORDINGS / MATERIAL / "first.csv"
     path.parent.mkdir(parents=True)
     noise = random.Random(3)
-    path.write_text("\n".join(f"{noise.gauss(0.0, 1.0):.5g}" for _ in range(SECONDS * RATE_HZ)))
+    rows = (f"{at / RATE_HZ:.4f},{noise.gauss(0.0, 1.0):.5g},1.0" for at in range(SECONDS * RATE_HZ))
+    path.write_text("\n".join(["time [s],acceleration [m/s^2],force [N]", *rows]))
 
 
 def slot():
@@ -97,8 +98,8 @@ def check_without_a_folder_it_is_refused_in_words(stage):
     yield from stage.widen_sidebar(330)
     stage.memory["before"] = slot()
     ok = yield from dialog(stage, "dialog-simulated")
-    yield from picked(stage, (ok[0], ok[1] + 53 + 2 * ROW_PX), "L")
-    ok = buttons.default_button(stage, "dialog-lmt")
+    yield from picked(stage, (ok[0], ok[1] + 53 + 2 * ROW_PX), "Y")
+    ok = buttons.default_button(stage, "dialog-own")
     yield from stage.click(ok)
     yield 0.4
     stage.expect("no job runs", state().job is None, state().job)
@@ -145,7 +146,7 @@ def check_the_same_choices_go_on_to_the_end(stage):
     name, _, definition = slot()
     stage.expect("the slot keeps its material", name == stage.memory["before"][0], name)
     stage.expect("which feels as it was learned", getattr(definition, "name", "") == MATERIAL, definition)
-    stage.expect("a copy is kept", learned() == [f"{MATERIAL} (lmt).hnf"], learned())
+    stage.expect("a copy is kept", learned() == [f"{MATERIAL} (own).hnf"], learned())
     yield from stage.picture("learned")
 
 
