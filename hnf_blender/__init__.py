@@ -9,8 +9,9 @@ import importlib
 from types import ModuleType
 from typing import Any
 
-ROOMS = ("translations", "props", "prefs", "jobs", "actuator", "preview", "ops", "tool", "ui", "handlers")
-"""Sub-modules with register() and unregister(), in order; each may use those before it."""
+ROOMS = ("translations", "props", "prefs", "handlers", "jobs", "actuator", "preview", "ops", "tool", "ui")
+"""Sub-modules with register() and unregister(), in order; each may use those before it. What handlers note, later ones
+hear of in the same change."""
 
 _commands: list[Any] = []
 _registered: list[ModuleType] = []

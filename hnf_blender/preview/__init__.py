@@ -16,12 +16,6 @@ __all__ = ["PreviewFacts", "preview_facts", "preview_icon"]
 INTERVAL_S = 0.04
 LISTENING_INTERVAL_S = 0.01
 """While a signal is on its way."""
-HANDLERS = (
-    ("animation_playback_pre", timeline.playback_begins),
-    ("animation_playback_post", timeline.playback_ends),
-    ("frame_change_post", timeline.frame_shown),
-)
-
 BUDGET_S = 0.02
 """Of looking at strokes that are not the active one, in one tick."""
 BUSY_S = 0.5
@@ -55,6 +49,43 @@ def enter_file(*_: Any) -> None:
         PREVIEW.listener.end(wait=False)
         PREVIEW.listener = None
     PREVIEW.clear()
+
+
+def ask_at_once(scene: Any, depsgraph: Any = None) -> None:
+    """depsgraph_update_post: Blender draws after it, and what is asked for now is heard meanwhile."""
+    import bpy
+
+    from ..state.session import STATE
+
+    if PREVIEW.listener is None or STATE.own or depsgraph is None:
+        return
+    window = next((each for each in bpy.context.window_manager.windows if each.scene == scene), None)
+    if window is not None and not window.screen.is_animation_playing:
+        with bpy.context.temp_override(window=window):
+            _ask(bpy.context, depsgraph)
+
+
+def _ask(context: Any, depsgraph: Any) -> None:
+    """Only for the stroke that the panels speak of, and where that takes no evaluation of Blender's: the timer does
+    all else."""
+    from ..props.scene import active_stroke
+    from ..state.watch import changed_names, parts_of
+    from . import current
+
+    active = active_stroke(context)
+    if active is not None and parts_of(active) & changed_names(depsgraph) and not _is_driven(active, context.scene):
+        current.refresh(active, context, wait=False)
+
+
+def _is_driven(stroke: Any, scene: Any) -> bool:
+    from hnf_core.errors import HnfError
+
+    from ..bridge.channels import read_channel
+
+    try:
+        return read_channel(stroke, "force", scene).source == "driven"
+    except HnfError:
+        return True  # or broken, which the timer says
 
 
 def tick() -> float:
@@ -164,6 +195,15 @@ def _sound(context: Any, heard: set[str], timeline_plays: bool) -> None:
         timeline.FOLLOWER.start(context.scene)
 
 
+HANDLERS = (
+    ("depsgraph_update_post", ask_at_once),
+    ("animation_playback_pre", timeline.playback_begins),
+    ("animation_playback_post", timeline.playback_ends),
+    ("frame_change_post", timeline.frame_shown),
+    ("load_post", enter_file),
+)
+
+
 def register() -> None:
     import bpy
 
@@ -171,7 +211,6 @@ def register() -> None:
         return
     for name, handler in HANDLERS:
         getattr(bpy.app.handlers, name).append(bpy.app.handlers.persistent(handler))
-    bpy.app.handlers.load_post.append(bpy.app.handlers.persistent(enter_file))
     bpy.app.timers.register(tick, first_interval=INTERVAL_S, persistent=True)
 
 
@@ -180,7 +219,7 @@ def unregister() -> None:
 
     from . import current, images
 
-    for name, handler in (*HANDLERS, ("load_post", enter_file)):
+    for name, handler in HANDLERS:
         listed = getattr(bpy.app.handlers, name)
         if handler in listed:
             listed.remove(handler)

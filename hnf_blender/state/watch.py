@@ -16,10 +16,23 @@ if TYPE_CHECKING:
 
 EVERYTHING = "*"
 """In STATE.dirty: an undo, a redo or another file; nothing is known any more. No datablock is called so by Blender."""
+PARTS = frozenset({"Object", "Curve", "Action"})
+"""Kinds of datablocks that a stroke consists of."""
 SETTINGS = ("start", "force", "progress", "law", "speed_mm_s", "duration_s", "seed", "probe", "material")
 AT_A_TIME = 8
 BUDGET_S = 0.04
 """No new look begins in a tick after this. One look, of the shape of 100,000 faces, may take as long again."""
+
+
+def changed_names(depsgraph: Any) -> set[str]:
+    """Of what a stroke may be part of, in a handler of changes."""
+    return {str(each.id.name) for each in depsgraph.updates if each.id.bl_rna.identifier in PARTS}
+
+
+def parts_of(stroke: Any) -> set[str]:
+    """Names of the datablocks that a stroke consists of: object, curve, keys."""
+    action = None if stroke.animation_data is None else stroke.animation_data.action
+    return {stroke.name, stroke.data.name, *([] if action is None else [action.name])}
 
 
 class Watch:
@@ -62,7 +75,7 @@ class Watch:
         if self._session is not None:
             self._session.forget(surfaces)
         for obj in strokes:
-            own = _stroke_concerns(obj, names)
+            own = bool(parts_of(obj) & names)
             if own or self._surface_of(obj) in surfaces or obj.hnf_stroke.surface is None:
                 self._pending[obj.name] = None
         _leave_out(names & STATE.strokes.keys())
@@ -249,11 +262,6 @@ def _forget_looks(names: set[str]) -> None:
             del STATE.reliefs[material]
     if STATE.probe is not None and (EVERYTHING in names or STATE.probe.material in names):
         STATE.probe = None
-
-
-def _stroke_concerns(obj: Any, names: set[str]) -> bool:
-    action = None if obj.animation_data is None else obj.animation_data.action
-    return obj.name in names or obj.data.name in names or (action is not None and action.name in names)
 
 
 def _settings(obj: Any) -> tuple[object, ...]:

@@ -1,10 +1,12 @@
 """Strokes drawn over the 3-D view: paths coloured by force, direction ticks, start, and the contact at the playhead.
 
-Handlers note what changed; a timer that runs once computes it; drawing only draws.
+A few changed strokes are computed where Blender tells of the change, before it draws: then it draws once. Many are
+left to a timer that runs once. Drawing only draws.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -13,19 +15,23 @@ from bpy.app.handlers import persistent
 
 from ..bridge.temporary import SCENE_NAME
 from ..prefs import settings
-from ..props.scene import active_stroke, strokes_of
+from ..props.scene import active_stroke, listed_strokes, strokes_of
+from ..state.redraw import redraw_views
 from ..state.session import STATE
+from ..state.watch import changed_names, parts_of
 
 if TYPE_CHECKING:
     from .overlay_paths import OverlayPath
 
+FEW = 4
+"""Strokes that a redraw can wait for: 2 ms each."""
 SOON_S = 0.05
-"""After a change; a drag makes many, and only the last of them within this time is computed."""
+"""For more of them: a drag makes many changes, and only the last within this time is computed."""
 
 
 @dataclass
 class Overlay:
-    """paths: by stroke object name; None: it cannot be read. dirty: names of datablocks that changed. all_dirty:
+    """paths: by stroke object name; None: it cannot be read. dirty: names of strokes that changed. all_dirty:
     nothing kept is known to hold. rates: what turns times into frames, by scene name. handle: of the draw handler."""
 
     paths: dict[str, OverlayPath | None] = field(default_factory=dict)
@@ -33,7 +39,6 @@ class Overlay:
     all_dirty: bool = True
     rates: dict[str, tuple[object, ...]] = field(default_factory=dict)
     handle: Any = None
-    has_batches: bool = False
 
 
 OVERLAY = Overlay()
@@ -53,22 +58,26 @@ def unregister() -> None:
         getattr(bpy.app.handlers, name).remove(handler)
     if bpy.app.timers.is_registered(_refresh):
         bpy.app.timers.unregister(_refresh)
-    _forget()
+    _forget_all()
 
 
-def _forget() -> None:
-    OVERLAY.paths.clear()
+def _forget_all() -> None:
     OVERLAY.dirty.clear()
     OVERLAY.rates.clear()
-    if OVERLAY.has_batches:
-        from . import overlay_gpu
+    for name in list(OVERLAY.paths):
+        _forget(name)
 
-        overlay_gpu.forget()
+
+def _forget(name: str) -> None:
+    from . import overlay_gpu
+
+    del OVERLAY.paths[name]
+    overlay_gpu.forget(name)
 
 
 @persistent  # type: ignore[untyped-decorator]  # bpy has no types
 def _changed(scene: Any, depsgraph: Any) -> None:
-    """Names of what a stroke may be drawn from."""
+    """Strokes whose object, curve or keys changed."""
     if STATE.own or scene.name == SCENE_NAME:
         return
     rate = _rate(scene)
@@ -76,12 +85,14 @@ def _changed(scene: Any, depsgraph: Any) -> None:
         OVERLAY.rates[scene.name] = rate
         _everything()
         return
-    names = {str(update.id.name) for update in depsgraph.updates if update.id.bl_rna.identifier in ("Object", "Curve")}
-    if any(update.id.bl_rna.identifier == "Action" for update in depsgraph.updates):
-        names |= set(OVERLAY.paths)
-    if names:
-        OVERLAY.dirty |= names
+    names = changed_names(depsgraph)
+    strokes = [obj for obj in listed_strokes(scene) if names & parts_of(obj)] if names else []
+    if len(strokes) > FEW or OVERLAY.all_dirty or OVERLAY.dirty:
+        OVERLAY.dirty |= {obj.name for obj in strokes}
         _soon()
+    elif strokes:
+        _compute(strokes, scene, depsgraph)
+        redraw_views()
 
 
 def _rate(scene: Any) -> tuple[object, ...]:
@@ -93,7 +104,7 @@ def _rate(scene: Any) -> tuple[object, ...]:
 @persistent  # type: ignore[untyped-decorator]
 def _reloaded(*_arguments: Any) -> None:
     """Undo, redo or another file: nothing kept is known to hold."""
-    _forget()
+    _forget_all()
     _everything()
 
 
@@ -119,35 +130,31 @@ def _refresh() -> None:
     """Timer, once: compute what has changed in the scenes that the windows show."""
     context = bpy.context
     shown = {window.scene.name: window for window in context.window_manager.windows}
-    strokes = {obj.name for window in shown.values() for obj in strokes_of(window.scene)}
-    gone = set(OVERLAY.paths) - strokes
-    if strokes or gone:
-        from . import overlay_gpu
-
-        for name in gone:
-            del OVERLAY.paths[name]
-            overlay_gpu.forget(name)
-        for window in shown.values():
+    strokes = {name: strokes_of(window.scene) for name, window in shown.items()}
+    for name in set(OVERLAY.paths) - {obj.name for each in strokes.values() for obj in each}:
+        _forget(name)
+    for name, window in shown.items():
+        dirty = [obj for obj in strokes[name] if _is_dirty(obj.name)]
+        if dirty:
             with context.temp_override(window=window):
-                _compute(window.scene, bpy.context.evaluated_depsgraph_get())
+                _compute(dirty, window.scene, bpy.context.evaluated_depsgraph_get())
     OVERLAY.all_dirty = False
     OVERLAY.dirty.clear()
-    for window in context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
+    redraw_views()
 
 
-def _compute(scene: Any, depsgraph: Any) -> None:
+def _is_dirty(name: str) -> bool:
+    return OVERLAY.all_dirty or name in OVERLAY.dirty or name not in OVERLAY.paths
+
+
+def _compute(strokes: Sequence[Any], scene: Any, depsgraph: Any) -> None:
     from ..ops.active import metres_of
     from . import overlay_gpu
     from .overlay_paths import overlay_path
 
-    for obj in strokes_of(scene):
-        name = obj.name
-        if OVERLAY.all_dirty or name not in OVERLAY.paths or name in OVERLAY.dirty or obj.data.name in OVERLAY.dirty:
-            OVERLAY.paths[name] = overlay_path(obj, scene, depsgraph, metres_of(scene))
-            overlay_gpu.forget(name)
+    for obj in strokes:
+        OVERLAY.paths[obj.name] = overlay_path(obj, scene, depsgraph, metres_of(scene))
+        overlay_gpu.forget(obj.name)
 
 
 def _draw() -> None:
@@ -160,7 +167,6 @@ def _draw() -> None:
 
     from . import overlay_gpu
 
-    OVERLAY.has_batches = True
     shown = []
     for name, path in OVERLAY.paths.items():
         if name not in bpy.data.objects:

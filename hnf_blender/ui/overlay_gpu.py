@@ -54,12 +54,9 @@ class View:
         return np.asarray(place + radius * (np.cos(angle)[:, None] * right + np.sin(angle)[:, None] * up))
 
 
-def forget(name: str = "") -> None:
-    """Drop the batches of one stroke, or of all."""
-    if name:
-        _batches.pop(name, None)
-    else:
-        _batches.clear()
+def forget(name: str) -> None:
+    """Drop the batches of one stroke."""
+    _batches.pop(name, None)
 
 
 def draw_path(name: str, path: OverlayPath, world: Any, view: View, *, active: bool, faint: bool) -> None:

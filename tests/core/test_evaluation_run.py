@@ -14,7 +14,7 @@ from hnf_core.errors import UsageError
 from hnf_core.evaluation.materials import Sizes
 from hnf_core.evaluation.run import Options, run_evaluation
 
-TINY = Sizes(1.0, 4, 1, 2.0, 1, 1, 2, 4)
+TINY = Sizes(1.0, 4, 1, 2.0, 1, 1, 1, 2)
 
 
 @pytest.fixture(scope="module")

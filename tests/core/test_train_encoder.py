@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -138,19 +137,17 @@ def test_a_folder_without_pairs_is_told(tmp_path: Path, capsys) -> None:
 
 
 def test_training_repeats_itself_and_lowers_the_loss() -> None:
-    pairs, schedule = some_pairs(4), Schedule(steps=60, batch=16)
+    pairs, schedule = some_pairs(4), Schedule(steps=16, batch=16)
     watched: list[list[float]] = []
     states = []
-    for steps in (3, 3, 60):
+    for _ in range(2):
         losses: list[float] = []
-        twin = fit(
-            Design(hidden=32), pairs, replace(schedule, steps=steps), 1, watch=lambda *now, to=losses: to.append(now[2])
-        )
+        twin = fit(Design(hidden=32), pairs, schedule, 1, watch=lambda *now, to=losses: to.append(now[2]))
         watched.append(losses)
         states.append(twin.state_dict())
     assert watched[0] == watched[1]
     assert all(torch.equal(states[0][name], states[1][name]) for name in states[0])
-    assert np.mean(watched[2][-15:]) < np.mean(watched[2][:15])
+    assert np.mean(watched[0][-4:]) < 0.85 * np.mean(watched[0][:4])
 
 
 @settings(max_examples=16, deadline=None)

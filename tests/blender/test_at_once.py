@@ -1,0 +1,149 @@
+"""What happens where Blender tells of a change, before it draws: the overlay is computed and the sound is asked for."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+from builders import add_plane
+from job_scene import small_scene
+from stroke_builders import LINE, add_stroke, key
+
+from hnf_blender import handlers, preview
+from hnf_blender.jobs import running
+from hnf_blender.preview.facts import PREVIEW
+from hnf_blender.preview.hearing import Listener
+from hnf_blender.props.listed import LISTED
+from hnf_blender.state.guard import own_changes
+from hnf_blender.ui import overlay
+
+
+@pytest.fixture
+def told():
+    """Blender tells the overlay of changes, as in a window, after it told those who note them."""
+    listed = bpy.app.handlers.depsgraph_update_post
+    listed += [handlers.note_changes, overlay._changed]
+    LISTED.is_told = True
+    yield
+    LISTED.is_told = False
+    LISTED.forget()
+    for each in (handlers.note_changes, overlay._changed):
+        listed.remove(each)
+    if bpy.app.timers.is_registered(overlay._refresh):
+        bpy.app.timers.unregister(overlay._refresh)
+    overlay._forget_all()
+    overlay.OVERLAY.all_dirty = True
+
+
+def some_strokes(count: int) -> list[bpy.types.Object]:
+    plane = add_plane()
+    found = [add_stroke(LINE, speed_mm_s=60.0, surface=plane) for _ in range(count)]
+    for stroke in found:
+        key(stroke, "force", (1, 0.5), (25, 2.0))
+    bpy.context.view_layer.update()
+    overlay._refresh()
+    bpy.app.timers.unregister(overlay._refresh)
+    return found
+
+
+def press(stroke: bpy.types.Object, newtons: float) -> None:
+    from hnf_blender.compat import fcurves_of
+
+    curve = next(each for each in fcurves_of(stroke) if each.data_path == "hnf_stroke.force")
+    highest = max(curve.keyframe_points, key=lambda point: point.co[1])
+    highest.co[1] = newtons
+    curve.update()
+    stroke.update_tag()
+    bpy.context.view_layer.update()
+
+
+def last_forces() -> list[float]:
+    return [pytest.approx(float(path.forces.max()), abs=0.05) for path in overlay.OVERLAY.paths.values()]
+
+
+def test_a_changed_stroke_is_drawn_with_the_next_redraw_and_no_other_is_computed(told, monkeypatch) -> None:
+    first, second = some_strokes(2)
+    assert last_forces() == [2.0, 2.0]
+    kept = overlay.OVERLAY.paths[second.name]
+    press(first, 1.0)
+    assert last_forces() == [1.0, 2.0]
+    assert overlay.OVERLAY.paths[second.name] is kept
+    assert not bpy.app.timers.is_registered(overlay._refresh)
+
+
+def test_what_is_no_part_of_a_stroke_computes_nothing(told) -> None:
+    (stroke,) = some_strokes(1)
+    kept = overlay.OVERLAY.paths[stroke.name]
+    bpy.data.objects["Plane"].location.x += 0.1
+    bpy.context.view_layer.update()
+    assert overlay.OVERLAY.paths[stroke.name] is kept
+    assert not bpy.app.timers.is_registered(overlay._refresh)
+
+
+def test_many_changed_strokes_wait_for_the_timer(told) -> None:
+    strokes = some_strokes(overlay.FEW + 1)
+    for stroke in strokes:
+        stroke.location.z += 0.01
+    bpy.context.view_layer.update()
+    assert bpy.app.timers.is_registered(overlay._refresh)
+    kept = dict(overlay.OVERLAY.paths)
+    overlay._refresh()
+    assert all(overlay.OVERLAY.paths[name] is not kept[name] for name in kept)
+    assert len(kept) == len(strokes)
+
+
+def test_a_deleted_stroke_is_forgotten_with_the_next_look_at_all(told) -> None:
+    first, second = some_strokes(2)
+    name = second.name
+    bpy.data.objects.remove(first)
+    overlay._everything()
+    overlay._refresh()
+    assert list(overlay.OVERLAY.paths) == [name]
+
+
+@pytest.fixture
+def listening(warm_bake):
+    """A baked stroke that has been heard once, and its handler as in a window."""
+    preview.enter_file()
+    plate, stroke = small_scene()
+    running.bake_in_line(bpy.context.scene, bpy.context.view_layer)
+    bpy.context.view_layer.update()
+    PREVIEW.listener = Listener()
+    handler = lambda _scene, depsgraph: preview._ask(bpy.context, depsgraph)  # noqa: E731
+    bpy.app.handlers.depsgraph_update_post.append(handler)
+    yield plate, stroke
+    bpy.app.handlers.depsgraph_update_post.remove(handler)
+    preview.enter_file()
+
+
+def test_the_active_strokes_force_is_asked_for_without_a_timer(listening) -> None:
+    _, stroke = listening
+    press(stroke, 1.5)
+    first = PREVIEW.asked[stroke.name]
+    press(stroke, 2.5)
+    assert PREVIEW.asked[stroke.name] != first
+    stamp = PREVIEW.asked[stroke.name]
+    stroke.update_tag()
+    bpy.context.view_layer.update()
+    assert PREVIEW.asked[stroke.name] == stamp
+
+
+def test_nothing_is_asked_for_what_is_no_part_of_it_or_takes_an_evaluation(listening) -> None:
+    plate, stroke = listening
+    plate.location.x += 0.1
+    bpy.context.view_layer.update()
+    assert stroke.name not in PREVIEW.asked
+    driver = stroke.driver_add("hnf_stroke.force").driver
+    driver.expression = "1 + frame / 10"
+    bpy.context.view_layer.update()
+    assert stroke.name not in PREVIEW.asked
+
+
+def test_our_own_changes_are_no_news(listening, monkeypatch) -> None:
+    _, stroke = listening
+    asked = []
+    monkeypatch.setattr(preview, "_ask", lambda *_: asked.append(1))
+    with own_changes(bpy.context.view_layer):
+        preview.ask_at_once(bpy.context.scene, bpy.context.evaluated_depsgraph_get())
+    assert not asked
+    assert np.isfinite(stroke.hnf_stroke.force)
