@@ -79,7 +79,9 @@ def played(
     All that the collected tests need are played from the first request on: those that measure time alone, then the
     others side by side.
     """
-    wanted = [name for name in scenarios() if any(name in item.name for item in request.session.items)]
+    named = [getattr(item, "callspec", None) for item in request.session.items]
+    asked = {str(each.params["scenario"]) for each in named if each is not None and "scenario" in each.params}
+    wanted = [name for name in scenarios() if name in asked]
     alone = [name for name in wanted if constant_of(name, "ALONE", "no") == "yes"]
     with ThreadPoolExecutor(AT_ONCE) as pool:
         for name in alone:

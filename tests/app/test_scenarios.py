@@ -22,7 +22,8 @@ def test_it_ends_well_and_without_a_complaint(played: Callable[[str], Played], s
     played(scenario).assert_quiet()
 
 
-def test_extension_is_driven_in_a_blender_in_support(played: Callable[[str], Played]) -> None:
+@pytest.mark.parametrize("scenario", ["extension"])
+def test_it_is_driven_in_a_blender_in_support(played: Callable[[str], Played], scenario: str) -> None:
     """Not the version test of the command line: the one that really drew the windows."""
-    version = played("extension").version
+    version = played(scenario).version
     assert tuple(int(part) for part in version.split(" ")[0].split(".")[:2]) >= (4, 2), version

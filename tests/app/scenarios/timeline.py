@@ -8,8 +8,10 @@ from drive.addon import baked, freshness, heard, ours, strokes
 from drive.timing import Spent
 
 SCREEN = "1280x1100"
+ALONE = "yes"  # it measures
 FRAMES, STEP = 48, 4
 QUICK_S = 5.0  # ten times what is promised: this may run on a busy machine
+REST_S = 2.5  # Blender draws a view eight times after each change; in software that takes as long
 
 
 def overlay_pixels(stage, name):
@@ -61,18 +63,27 @@ def check_without_the_overlay_nothing_is_drawn(stage):
     stage.expect("the switch is seen", stage.memory["overlay-off"] != stage.memory["overlay-on"])
 
 
-def check_one_force_key_is_heard_at_once(stage):
+def press_the_last_key(stage, newtons):
+    """Seconds until the new signal is there."""
     before = heard("Along")
     curve = next(each for each in ours("compat").fcurves_of(strokes()[0]) if each.data_path == "hnf_stroke.force")
     changed = time.monotonic()
-    curve.keyframe_points[-1].co[1] = 3.0
+    curve.keyframe_points[-1].co[1] = newtons
     curve.update()
     strokes()[0].update_tag()
     yield from stage.until("it is heard", lambda: heard("Along").stamp != before.stamp, 10.0)
-    took = time.monotonic() - changed
-    stage.measured("one force key changed → new signal", took, "s")
-    stage.expect("at once", took < QUICK_S, f"{took:.2f} s")
     stage.expect("the end is another", heard("Along").signal.samples[-1500] != before.signal.samples[-1500])
+    return time.monotonic() - changed
+
+
+def check_one_force_key_is_heard_at_once(stage):
+    took = yield from press_the_last_key(stage, 2.5)
+    stage.measured("one force key changed while the view is still being drawn → new signal", took, "s")
+    stage.expect("at once", took < QUICK_S, f"{took:.2f} s")
+    yield REST_S
+    took = yield from press_the_last_key(stage, 3.0)
+    stage.measured("one force key changed → new signal", took, "s")
+    stage.expect("at once, from rest", took < QUICK_S, f"{took:.2f} s")
     yield from stage.until("nothing is to bake", lambda: freshness("Along") == "force", 5.0)
 
 
