@@ -43,7 +43,7 @@ def enter_file(*_: Any) -> None:
     from .current import stop
 
     stop()
-    timeline.FOLLOWER.begun_at = None
+    timeline.playback_ends()
     _looked.clear()
     if PREVIEW.listener is not None:  # with what it kept and is still making of the other file's strokes
         PREVIEW.listener.end(wait=False)
@@ -192,7 +192,7 @@ def _sound(context: Any, heard: set[str], timeline_plays: bool) -> None:
             PREVIEW.problems[name] = str(error)
         current.tell(name, context.scene)
     elif heard and timeline_plays and timeline.FOLLOWER.plays(context.scene):
-        timeline.FOLLOWER.start(context.scene)
+        timeline.FOLLOWER.wait(context.scene)
 
 
 HANDLERS = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 from typing import Any
 
@@ -15,11 +16,17 @@ from .monitor import to_monitor
 
 
 class Speakers:
-    """A Player on Blender's sound device, at the monitor's gain."""
+    """A Player on the sound device that Blender's preferences name, at the monitor's gain.
+
+    While the timeline plays it is the very device that Blender opens for it (share()): one clock for both. With some
+    drivers (OpenAL) a second one in the same program would also answer for the first, and stop it.
+    """
 
     def __init__(self) -> None:
         self._device: Any = None
+        self._name = ""
         self._handle: Any = None
+        self._is_shared = False
 
     def play(self, sound: Sound) -> None:
         """Raises SceneError without a sound device."""
@@ -34,19 +41,27 @@ class Speakers:
         sound device."""
         self.stop()
         aud = audio()
+        sound = aud.Sound.buffer(np.ascontiguousarray(samples, dtype=np.float32), rate)
+        was_open = self._device is not None
         try:
-            self._handle = self._opened(aud).play(
-                aud.Sound.buffer(np.ascontiguousarray(samples, dtype=np.float32), rate)
-            )
-            if loop:
-                self._handle.loop_count = -1
-            silent = not self._handle.status
+            self._handle = self._begun(aud, sound)
         except Exception as error:  # aud.error, and what else a driver raises
-            self._handle = self._device = None
-            raise SceneError(f"the sound device does not play ({error}).", remedy=NO_SOUND) from error
-        if silent and len(samples):
+            if not was_open:
+                raise SceneError(f"the sound device does not play ({error}).", remedy=NO_SOUND) from error
+            self.sound(samples, rate, loop=loop)  # the one that was open is gone: unplugged, or Blender took another
+            return
+        if loop:
+            self._handle.loop_count = -1
+        if not self._handle.status and len(samples):
             self._handle = None
             raise SceneError("there is no sound device.", remedy=NO_SOUND)
+
+    def _begun(self, aud: Any, sound: Any) -> Any:
+        try:
+            return self._opened(aud).play(sound)
+        except Exception:
+            self._device = None
+            raise
 
     def rate_hz(self) -> float:
         """At which the device plays. Raises SceneError without one."""
@@ -58,9 +73,20 @@ class Speakers:
             raise SceneError(f"the sound device does not open ({error}).", remedy=NO_SOUND) from error
 
     def _opened(self, aud: Any) -> Any:
+        name = chosen_device()
+        if self._name != name:
+            self._device, self._name = None, name
+        if self._device is None and self._is_shared:
+            with contextlib.suppress(aud.error):  # Blender has none open
+                self._device = aud.Device()
         if self._device is None:
-            self._device = aud.Device(chosen_device())
+            self._device = aud.Device(name)
         return self._device
+
+    def share(self, shared: bool) -> None:
+        """Play on the device that Blender itself has open, or again on one of our own. Silences what plays."""
+        self.release()
+        self._is_shared = shared
 
     def stop(self) -> None:
         if self._handle is not None and self._handle.status:

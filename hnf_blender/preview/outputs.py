@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from ..actuator.sound import Player, Sound
 from .device import Speakers
+from .whole import Whole
 
 
 class Outputs:
@@ -47,6 +48,13 @@ class Outputs:
         """Does what plays, or played last, go to an actuator?"""
         return self._playing is not self._speakers
 
+    def share(self, shared: bool) -> bool:
+        """The timeline begins or ends to play: speakers sound on Blender's own device meanwhile. True where they are
+        what is chosen."""
+        self._speakers.share(shared)
+        wanted = self._wanted()
+        return wanted is self._speakers or isinstance(wanted, Whole)
+
     def release(self) -> None:
         self._playing.release()
         self._speakers.release()
@@ -60,8 +68,6 @@ class Outputs:
         if target == SPEAKERS:
             return self._speakers
         if plays_whole(target):
-            from .whole import Whole
-
             return self._playing if isinstance(self._playing, Whole) else Whole(self._speakers)
         from ..actuator.link import LINK
 

@@ -17,18 +17,25 @@ SCRUB_S = 0.06
 """Of a stroke that is felt where the playhead is dragged to, or a frame where that is longer."""
 
 LINGER_S = 1.0
-"""How long the device stays open after the playhead has moved: to take one takes longer than to move on."""
+"""Of silence after what sounds. The device stays open when the playhead has moved: to take one takes longer than to
+move on. And a device that loses count of its last buffers (OpenAL, by up to a sixth of a second) does so in it."""
 
 
 class Follower:
-    """What of the timeline sounds now. begun_at: frame at which it began; None while nothing plays."""
+    """What of the timeline sounds now. begun_at: frame at which it began; None while nothing plays. waits: it sounds
+    from the next frame on."""
 
     def __init__(self) -> None:
         self.begun_at: float | None = None
+        self.waits = False
         self.scene = ""
 
     def plays(self, scene: Any) -> bool:
         return self.begun_at is not None and self.scene == scene.name
+
+    def wait(self, scene: Any) -> None:
+        """Begin to sound with the next frame that is shown."""
+        self.begun_at, self.scene, self.waits = float(scene.frame_current_final), scene.name, True
 
     def start(self, scene: Any) -> None:
         """Sound what lies ahead of the present frame. Nothing where sound is missing: the timeline plays on."""
@@ -36,7 +43,7 @@ class Follower:
 
         from .current import PLAYER
 
-        self.begun_at, self.scene = None, scene.name
+        self.begun_at, self.scene, self.waits = None, scene.name, False
         if not scene.hnf.follow_timeline:
             return
         last = scene.frame_preview_end if scene.use_preview_range else scene.frame_end
@@ -47,14 +54,14 @@ class Follower:
             PLAYER.stop()
             return
         with contextlib.suppress(HnfError):
-            PLAYER.play(ahead)
+            PLAYER.play(lingering(ahead))
 
     def stop(self) -> None:
         from .current import PLAYER
 
         if self.begun_at is not None:
             PLAYER.stop()
-        self.begun_at = None
+        self.begun_at, self.waits = None, False
 
     def follow(self, scene: Any) -> None:
         """Another frame is shown: where the timeline jumped, the sound jumps too."""
@@ -66,7 +73,11 @@ class Follower:
         clock = Clock(float(scene.render.fps), float(scene.render.fps_base))
         frame = float(scene.frame_current_final)
         went_back = frame < self.begun_at
-        if went_back or (PLAYER.is_sounding and has_jumped(frame, PLAYER.position_s, self.begun_at, clock)):
+        if (
+            self.waits
+            or went_back
+            or (PLAYER.is_sounding and has_jumped(frame, PLAYER.position_s, self.begun_at, clock))
+        ):
             self.start(scene)
 
     def scrub(self, scene: Any) -> None:
@@ -104,7 +115,7 @@ def sound_ahead(scene: Any, last_frame: float) -> Sound | None:
 
 
 def lingering(moment: Sound) -> Sound:
-    """A moment and the silence after it, in which the device stays open for the next."""
+    """A sound and LINGER_S of silence after it."""
     quiet = np.zeros(round(LINGER_S * moment.rate), dtype=np.float32)
     return replace(moment, samples=np.concatenate([moment.samples, quiet]))
 
@@ -124,13 +135,21 @@ def placed_strokes(scene: Any) -> list[Any]:
 
 
 def playback_begins(scene: Any, _depsgraph: Any = None) -> None:
-    """animation_playback_pre."""
-    FOLLOWER.start(scene)
+    """animation_playback_pre. Blender opens its sound device after it: speakers wait for the next frame."""
+    from .current import PLAYER
+
+    if PLAYER.share(True):
+        FOLLOWER.wait(scene)
+    else:
+        FOLLOWER.start(scene)
 
 
-def playback_ends(_scene: Any, _depsgraph: Any = None) -> None:
+def playback_ends(_scene: Any = None, _depsgraph: Any = None) -> None:
     """animation_playback_post."""
+    from .current import PLAYER
+
     FOLLOWER.stop()
+    PLAYER.share(False)
 
 
 def frame_shown(scene: Any, _depsgraph: Any = None) -> None:

@@ -1,0 +1,127 @@
+"""Which sound device is played on, and what happens where it breaks: with a driver that breaks when told to."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+import pytest
+
+from hnf_blender.preview import device
+from hnf_blender.preview.timeline import LINGER_S, Follower, lingering
+from hnf_core.actuators.profile import GENERIC
+from hnf_core.errors import SceneError
+
+TONE = np.ones((100, 1), dtype=np.float32)
+OWN = "None"
+"""Name of the device that the preferences of a Blender without a window choose."""
+
+
+class Driver:
+    """In place of Blender's `aud`. opened: names of the devices opened, None = the one that Blender has open."""
+
+    error = RuntimeError
+
+    def __init__(self) -> None:
+        self.opened: list[str | None] = []
+        self.broken: set[int] = set()
+        self.blender_has_one = True
+        self.Sound = SimpleNamespace(buffer=lambda samples, rate: (samples, rate))
+
+    def Device(self, name: str | None = None) -> SimpleNamespace:  # noqa: N802  # as aud calls it
+        if name is None and not self.blender_has_one:
+            raise self.error("there is none")
+        self.opened.append(name)
+        number = len(self.opened)
+        return SimpleNamespace(play=lambda _sound: self.play(number))
+
+    def play(self, number: int) -> SimpleNamespace:
+        if number in self.broken:
+            raise self.error("Buffer generation failed")
+        return SimpleNamespace(status=True, position=0.0, stop=lambda: None)
+
+
+@pytest.fixture
+def driver(monkeypatch) -> Driver:
+    made = Driver()
+    monkeypatch.setattr(device, "audio", lambda: made)
+    monkeypatch.setattr(device, "chosen_device", lambda: OWN)
+    return made
+
+
+def test_one_device_is_opened_and_kept(driver) -> None:
+    speakers = device.Speakers()
+    speakers.sound(TONE, 1000.0)
+    speakers.sound(TONE, 1000.0)
+    assert driver.opened == [OWN]
+    assert speakers.is_playing
+
+
+def test_a_device_that_is_gone_is_opened_anew_and_one_that_never_played_is_told(driver) -> None:
+    speakers = device.Speakers()
+    speakers.sound(TONE, 1000.0)
+    driver.broken = {1}
+    speakers.sound(TONE, 1000.0)
+    assert speakers.is_playing
+    driver.broken = {1, 2, 3}
+    with pytest.raises(SceneError, match="Buffer generation failed"):
+        speakers.sound(TONE, 1000.0)
+    assert not speakers.is_playing
+    driver.broken = set()
+    speakers.sound(TONE, 1000.0)
+    assert driver.opened == [OWN] * 4
+
+
+def test_another_choice_in_the_preferences_is_followed(driver, monkeypatch) -> None:
+    speakers = device.Speakers()
+    speakers.sound(TONE, 1000.0)
+    monkeypatch.setattr(device, "chosen_device", lambda: "Another")
+    speakers.sound(TONE, 1000.0)
+    assert driver.opened == [OWN, "Another"]
+
+
+def test_while_the_timeline_plays_it_is_blenders_own_device(driver) -> None:
+    speakers = device.Speakers()
+    speakers.sound(TONE, 1000.0)
+    speakers.share(True)
+    assert not speakers.is_playing
+    speakers.sound(TONE, 1000.0)
+    speakers.share(False)
+    speakers.sound(TONE, 1000.0)
+    assert driver.opened == [OWN, None, OWN]
+
+
+def test_without_one_of_blenders_it_is_the_chosen_one(driver) -> None:
+    driver.blender_has_one = False
+    speakers = device.Speakers()
+    speakers.share(True)
+    speakers.sound(TONE, 1000.0)
+    assert driver.opened == [OWN]
+
+
+def test_the_sound_waits_for_the_next_frame_and_begins_there() -> None:
+    """Blender opens its device after it has told that the timeline plays."""
+    scene, follower = bpy.context.scene, Follower()
+    scene.frame_set(3)
+    follower.wait(scene)
+    assert follower.plays(scene)
+    scene.frame_set(5)
+    follower.follow(scene)
+    assert (follower.begun_at, follower.waits) == (5.0, False)
+    scene.frame_set(7)
+    follower.follow(scene)
+    assert follower.begun_at == 5.0
+    scene.frame_set(2)
+    follower.follow(scene)
+    assert follower.begun_at == 2.0
+    follower.stop()
+    assert not follower.plays(scene)
+
+
+def test_silence_lingers_after_a_sound() -> None:
+    moment = device.Sound(np.ones(100, dtype=np.float32), 1000.0, GENERIC)
+    longer = lingering(moment)
+    assert longer.duration_s == pytest.approx(moment.duration_s + LINGER_S)
+    assert np.array_equal(longer.samples[:100], moment.samples)
+    assert not longer.samples[100:].any()
