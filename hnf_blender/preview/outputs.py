@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from ..actuator.sound import Player, Sound
 from .device import Speakers
-from .whole import Whole
 
 
 class Outputs:
@@ -51,9 +50,11 @@ class Outputs:
     def share(self, shared: bool) -> bool:
         """The timeline begins or ends to play: speakers sound on Blender's own device meanwhile. True where they are
         what is chosen."""
+        from ..actuator.choice import chosen_output, plays_whole
+        from ..actuator.state import SPEAKERS
+
         self._speakers.share(shared)
-        wanted = self._wanted()
-        return wanted is self._speakers or isinstance(wanted, Whole)
+        return chosen_output() == SPEAKERS or plays_whole(chosen_output())
 
     def release(self) -> None:
         self._playing.release()
@@ -68,6 +69,8 @@ class Outputs:
         if target == SPEAKERS:
             return self._speakers
         if plays_whole(target):
+            from .whole import Whole
+
             return self._playing if isinstance(self._playing, Whole) else Whole(self._speakers)
         from ..actuator.link import LINK
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 
-@dataclass(frozen=True)
-class FormatChoice:
+class FormatChoice(NamedTuple):
     """word: in hnf_core.export.formats.FORMATS. scaled: its numbers are shares of the actuator's full scale. stem: what
     is added to the name of its files, where another format has the same suffix."""
 

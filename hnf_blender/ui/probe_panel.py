@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import bpy
 
 from ..ops.materials import spoken
-from ..state.probe import ProbeView
 from ..state.session import STATE
 from ..translations import tr
 from .layout import TouchPanel, hint, named, paragraph
 from .preview_panel import picture_units
 from .texts import factor_text, height_text, reason_text, routes_lines, stiffness_text, sure_text
+
+if TYPE_CHECKING:
+    from ..state.probe import ProbeView
 
 LARGEST = 9.0
 """Units of Blender's interface: the picture is looked at, not worked on."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from ..state.session import Freshness, JobStatus, PlanLine, PlanView, StrokeStatus
 from ..translations import tr
@@ -38,8 +38,7 @@ ROUTE_WORDS = {
 }
 
 
-@dataclass(frozen=True)
-class Step:
+class Step(NamedTuple):
     """One of the first steps. icon: done, current or still to come."""
 
     text: str
