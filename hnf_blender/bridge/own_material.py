@@ -13,7 +13,7 @@ from hnf_core.material.hnf_file import MaterialFile, parse_hnf
 from hnf_core.material.material import Appearance
 
 from .. import compat
-from ..props.material import OWN_DEFINITION
+from ..props.material import OWN_DEFINITION, OWN_NAME
 from .keeping import keep
 
 INPUTS = {
@@ -42,6 +42,7 @@ def carry(material: Any, definition: MaterialFile) -> None:
             remedy="Make it local, or choose a material of the library.",
         )
     keep(material, OWN_DEFINITION, definition.to_bytes())
+    keep(material, OWN_NAME, definition.name)
     material.hnf_touch.library = ""
     material.update_tag()
 
@@ -63,8 +64,9 @@ def own_word(material: Any) -> str | MaterialFile:
 
 def forget(material: Any) -> None:
     """Take the definition off again."""
-    if OWN_DEFINITION in material:
-        del material[OWN_DEFINITION]
+    for each in (OWN_DEFINITION, OWN_NAME):
+        if each in material:
+            del material[each]
 
 
 def give(obj: Any, slot: int, definition: MaterialFile) -> Any:

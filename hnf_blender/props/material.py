@@ -8,6 +8,8 @@ from .overriding import OVERRIDABLE
 
 OWN_DEFINITION = "hnf_material"
 """ID property: the bytes of a `.hnf` file that the material carries. hnf_touch.library goes before it."""
+OWN_NAME = "hnf_material_name"
+"""ID property: the name in those bytes, for panels, which open no file."""
 
 
 class HnfMaterial(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no types

@@ -7,7 +7,7 @@ from typing import Any
 import bpy
 
 from ..ops.materials import felt_object, spoken
-from ..props.material import OWN_DEFINITION
+from ..props.material import OWN_DEFINITION, OWN_NAME
 from ..state.session import STATE, StrokeStatus
 from ..translations import tr
 from .layout import TouchPanel, hint, named, paragraph, side_by_side
@@ -21,7 +21,7 @@ def felt_text(material: Any) -> tuple[str, str]:
     if material.hnf_touch.library:
         return "LOCKED", spoken(material.hnf_touch.library)
     if OWN_DEFINITION in material:
-        return "LOCKED", tr("Own (.hnf)")
+        return "LOCKED", str(material.get(OWN_NAME) or tr("Own (.hnf)"))
     ranked = STATE.suggestions.get(material.name_full)
     if ranked:
         return "UNLOCKED", f"{spoken(ranked[0].name)} ({sure_text(ranked[0].confidence)})"

@@ -13,6 +13,7 @@ from touch_scene import line_stroke, ridge_plate
 from hnf_blender.bridge.own_material import INPUTS, carried, forget, give
 from hnf_blender.bridge.under_cursor import first_hit
 from hnf_blender.props.material import OWN_DEFINITION
+from hnf_blender.ui.materials_panel import felt_text
 from hnf_core.errors import FileError, SceneError
 from hnf_core.export.wav import write_wav
 from hnf_core.material.hnf_file import from_library, write_hnf
@@ -104,9 +105,11 @@ def test_it_can_be_forgotten(knit: str) -> None:
     plate = ridge_plate()
     drop(knit, target=plate.name)
     material = plate.material_slots[0].material
+    assert felt_text(material) == ("LOCKED", KNIT.name)
     forget(material)
     forget(material)
     assert carried(material) is None
+    assert felt_text(material)[0] == "UNLOCKED"
 
 
 @pytest.mark.parametrize("data", [b"", b"not a material", 7, "text"])
