@@ -36,7 +36,7 @@ CHOSEN: dict[str, Cut] = {
     "first-choose": Cut("tutorial/choose", (60, 55, 1116, 1010)),
     "first-drawing": Cut("tutorial/drawing", (0, 55, 1116, 900)),
     "first-baking": Cut("tutorial/baking", (830, 80, 1090, 200)),
-    "first-preview": Cut("tutorial/heard", (830, 935, 1090, 1345)),
+    "first-preview": Cut("tutorial/heard-below", (830, 1047, 1090, 1453)),
     "first-harder": Cut("tutorial/harder", (0, 55, 1116, 1465)),
     "first-compared": Cut("tutorial/harder-alone", (1075, 970, 1332, 1424)),
     "first-sequencer": Cut("tutorial/sequencer", (0, 915, 1116, 1465)),

@@ -27,6 +27,8 @@ def checks_in(module):
 def play(scenario: str, folder: Path) -> None:
     """Begin scenarios/SCENARIO.py; Blender quits when it ends. Everything seen goes to folder."""
     bpy.context.preferences.view.show_splash = False  # it would cover the window and swallow the first click
+    if getattr(importlib.import_module(f"scenarios.{scenario}"), "SMOOTH", "yes") == "no":
+        bpy.context.preferences.system.viewport_aa = "OFF"  # drawn once after a change, not eight times over
     record = Record(folder)
     record.write("blender", version=bpy.app.version_string)
     steps = played(scenario, Stage(folder, record), record)

@@ -10,6 +10,7 @@ from drive.addon import baked, children, heard, ours, strokes
 from drive.timing import Spent
 
 SCREEN = "1280x1400"
+SMOOTH = "no"  # nobody looks at how its 3-D view is drawn
 FRAMES = 72
 QUICK_S = 0.1  # of one call in the window's own thread; this may run on a busy machine
 SOON_S = 30.0

@@ -9,6 +9,7 @@ from drive.scenery import empty_room, look_at, plate, stroke_on
 
 INSTALLED = "no"
 SCREEN = "1280x800"
+SMOOTH = "no"  # nobody looks at how its 3-D view is drawn
 DIST = Path("/share/dist")
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import bpy
 from drive.addon import MODULE, ours
 
+SMOOTH = "no"  # nobody looks at how its 3-D view is drawn
 TIMES = 50
 HANDLERS = [name for name in dir(bpy.app.handlers) if isinstance(getattr(bpy.app.handlers, name), list)]
 

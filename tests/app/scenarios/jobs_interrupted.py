@@ -6,6 +6,8 @@ import bpy
 from drive import scenery
 from drive.addon import baked, children, freshness, job_folders, kept, start_bake, state, strokes
 
+SMOOTH = "no"  # nobody looks at how its 3-D view is drawn
+
 
 def prepare(stage, scale):
     """A surface that no cache knows yet, with two strokes."""

@@ -9,6 +9,7 @@ from drive import buttons
 from drive.addon import MODULE, children, job_folders, ours, state
 
 SCREEN = "1280x1100"
+SMOOTH = "no"  # nobody looks at how its 3-D view is drawn
 PYTHON = "/share/home/torch/bin/python"
 RECORDINGS = Path("/share/recordings")
 SECONDS, RATE_HZ = 3, 10_000

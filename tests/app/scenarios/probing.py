@@ -6,6 +6,7 @@ import bpy
 from drive import scenery
 from drive.addon import children, job_folders, kept, state
 
+SMOOTH = "no"  # nobody looks at how its 3-D view is drawn
 LIMIT_S = 120.0
 AWAY = (0.045, 0.045, 0.0)
 """A corner of the plate, seen from above."""
