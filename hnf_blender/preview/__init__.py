@@ -55,9 +55,7 @@ def ask_at_once(scene: Any, depsgraph: Any = None) -> None:
     """depsgraph_update_post: Blender draws after it, and what is asked for now is heard meanwhile."""
     import bpy
 
-    from ..state.session import STATE
-
-    if PREVIEW.listener is None or STATE.own or depsgraph is None:
+    if PREVIEW.listener is None or depsgraph is None:
         return
     window = next((each for each in bpy.context.window_manager.windows if each.scene == scene), None)
     if window is not None and not window.screen.is_animation_playing:
@@ -69,9 +67,12 @@ def _ask(context: Any, depsgraph: Any) -> None:
     """Only for the stroke that the panels speak of, and where that takes no evaluation of Blender's: the timer does
     all else."""
     from ..props.scene import active_stroke
+    from ..state.session import STATE
     from ..state.watch import changed_names, parts_of
     from . import current
 
+    if STATE.own:
+        return
     active = active_stroke(context)
     if active is not None and parts_of(active) & changed_names(depsgraph) and not _is_driven(active, context.scene):
         current.refresh(active, context, wait=False)

@@ -76,7 +76,8 @@ class Speakers:
         name = chosen_device()
         if self._name != name:
             self._device, self._name = None, name
-        if self._device is None and self._is_shared:
+        # For "None" Blender opens nothing, and aud would open the system's usual one instead.
+        if self._device is None and self._is_shared and name != SILENT:
             with contextlib.suppress(aud.error):  # Blender has none open
                 self._device = aud.Device()
         if self._device is None:
@@ -111,6 +112,8 @@ class Speakers:
         self._device = None
 
 
+SILENT = "None"
+"""The device of the preferences that is none."""
 NO_SOUND = "Choose one in Preferences > System > Sound, or export the WAV and play it elsewhere."
 
 

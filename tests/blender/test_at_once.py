@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bpy
-import numpy as np
 import pytest
 from builders import add_plane
 from job_scene import small_scene
@@ -58,10 +57,10 @@ def press(stroke: bpy.types.Object, newtons: float) -> None:
 
 
 def last_forces() -> list[float]:
-    return [pytest.approx(float(path.forces.max()), abs=0.05) for path in overlay.OVERLAY.paths.values()]
+    return [round(float(path.forces.max()), 1) for path in overlay.OVERLAY.paths.values()]
 
 
-def test_a_changed_stroke_is_drawn_with_the_next_redraw_and_no_other_is_computed(told, monkeypatch) -> None:
+def test_a_changed_stroke_is_drawn_with_the_next_redraw_and_no_other_is_computed(told) -> None:
     first, second = some_strokes(2)
     assert last_forces() == [2.0, 2.0]
     kept = overlay.OVERLAY.paths[second.name]
@@ -139,11 +138,10 @@ def test_nothing_is_asked_for_what_is_no_part_of_it_or_takes_an_evaluation(liste
     assert stroke.name not in PREVIEW.asked
 
 
-def test_our_own_changes_are_no_news(listening, monkeypatch) -> None:
+def test_our_own_changes_are_no_news(listening) -> None:
     _, stroke = listening
-    asked = []
-    monkeypatch.setattr(preview, "_ask", lambda *_: asked.append(1))
     with own_changes(bpy.context.view_layer):
-        preview.ask_at_once(bpy.context.scene, bpy.context.evaluated_depsgraph_get())
-    assert not asked
-    assert np.isfinite(stroke.hnf_stroke.force)
+        press(stroke, 2.5)
+        assert stroke.name not in PREVIEW.asked
+    press(stroke, 2.0)
+    assert stroke.name in PREVIEW.asked

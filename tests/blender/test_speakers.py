@@ -14,8 +14,8 @@ from hnf_core.actuators.profile import GENERIC
 from hnf_core.errors import SceneError
 
 TONE = np.ones((100, 1), dtype=np.float32)
-OWN = "None"
-"""Name of the device that the preferences of a Blender without a window choose."""
+OWN = "OpenAL"
+"""Name of the device that the preferences choose."""
 
 
 class Driver:
@@ -98,6 +98,14 @@ def test_without_one_of_blenders_it_is_the_chosen_one(driver) -> None:
     speakers.share(True)
     speakers.sound(TONE, 1000.0)
     assert driver.opened == [OWN]
+
+
+def test_who_chose_silence_hears_no_other_device_with_the_timeline(driver, monkeypatch) -> None:
+    monkeypatch.setattr(device, "chosen_device", lambda: device.SILENT)
+    speakers = device.Speakers()
+    speakers.share(True)
+    speakers.sound(TONE, 1000.0)
+    assert driver.opened == [device.SILENT]
 
 
 def test_the_sound_waits_for_the_next_frame_and_begins_there() -> None:
