@@ -2,19 +2,17 @@
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import bpy
 
-from hnf_core.material.mechanics import PROBES
+from hnf_core.material.probe import PROBES
 
 from .state.session import STATE
 from .translations import tr
 
 
-@dataclass(frozen=True)
-class Settings:
+class Settings(NamedTuple):
     """What holds where the add-on was not switched on through the preferences (tests, the command line).
 
     overlay: draw strokes in the 3-D view. default_probe: of new strokes. output: where strokes are played.
@@ -27,32 +25,35 @@ class Settings:
     external_python: str = ""
 
 
+DEFAULTS = Settings()
+
+
 class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy has no types
     bl_idname = __package__
 
     overlay: bpy.props.BoolProperty(
         name="Show strokes in the 3-D view",
         description="Paths coloured by force in newtons, direction ticks and the point of contact at the playhead",
-        default=Settings.overlay,
+        default=DEFAULTS.overlay,
     )
     default_probe: bpy.props.EnumProperty(
         name="Probe of new strokes",
         description="What touches the surface where nothing else is said",
         items=[(name, name.capitalize(), f"Touch with the {name}") for name in PROBES],
-        default=Settings.default_probe,
+        default=DEFAULTS.default_probe,
     )
     output: bpy.props.StringProperty(
         name="Output",
         description="Address of the device that strokes are played on, on this machine; empty: Blender's own sound. "
         "Choose it in the Actuator panel",
-        default=Settings.output,
+        default=DEFAULTS.output,
     )
     external_python: bpy.props.StringProperty(
         name="External Python",
         description="A Python outside Blender (3.11 or newer) that has torch, to learn materials from recordings. "
         "Everything else runs without it",
         subtype="FILE_PATH",
-        default=Settings.external_python,
+        default=DEFAULTS.external_python,
     )
 
     def draw(self, _context: Any) -> None:
@@ -78,9 +79,9 @@ class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy h
 
 
 def settings(context: Any = None) -> Any:
-    """The preferences, or Settings() where Blender keeps none for this package; the names are the same."""
+    """The preferences, or DEFAULTS where Blender keeps none for this package; the names are the same."""
     addon = (context or bpy.context).preferences.addons.get(__package__)
-    return Settings() if addon is None or addon.preferences is None else addon.preferences
+    return DEFAULTS if addon is None or addon.preferences is None else addon.preferences
 
 
 def register() -> None:

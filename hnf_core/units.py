@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:  # the add-on is switched on without it
+    from numpy.typing import ArrayLike, NDArray
 
 STANDARD_GRAVITY = 9.80665
 """m/s² in one g."""

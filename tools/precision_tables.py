@@ -24,7 +24,8 @@ from hnf_core.field.timeline import condition_of, states_of
 from hnf_core.material.contact import height_response
 from hnf_core.material.encoder import describe
 from hnf_core.material.library import load_library
-from hnf_core.material.mechanics import PROBES, Mechanics
+from hnf_core.material.mechanics import Mechanics
+from hnf_core.material.probe import PROBES
 from hnf_core.material.token import LEVELS
 from hnf_core.scene.mesh import TriangleMesh
 from hnf_core.scene.raycast import ReferenceGeometry

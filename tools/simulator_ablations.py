@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_core.material.mechanics import PROBES, Mechanics, Probe
+from hnf_core.material.mechanics import Mechanics
+from hnf_core.material.probe import PROBES, Probe
 from hnf_core.simulation.feel import spectra
 from hnf_core.simulation.sampling import SmoothedMaps
 from hnf_core.simulation.simulate import (
@@ -49,7 +50,7 @@ def centroid_with_tip(radius_m: float) -> float:
     Hertz: the contact is a ∝ R^(1/3) wide and averages shorter waves away, so it falls. The surface's stiffness is held
     (k ∝ R^(1/3) is divided out), so that the tip's low-pass alone is seen.
     """
-    probe = replace(PEN, tip_radius_m=radius_m)
+    probe = PEN._replace(tip_radius_m=radius_m)
     held = replace(WOOD, stiffness_n_m=1.0e5 * (PEN.tip_radius_m / radius_m) ** (1.0 / 3.0))
     surface = SmoothedMaps(height_map(ROUGH.scaled(0.05), 1))
     strokes = [straight_stroke(0.1, 1.0, 0.35, angle_rad=angle) for angle in ANGLES]
@@ -106,7 +107,7 @@ def ring_hz(mass_kg: float) -> float:
     n = 2500
     force = np.where(np.arange(n) < 500, 1.0, 1.1)
     stroke = Stroke(np.zeros((n, 2)), force)
-    normal = simulate(FLAT, stroke, replace(WOOD, damping_ratio=0.03), replace(PEN, mass_kg=mass_kg))[520:, 2]
+    normal = simulate(FLAT, stroke, replace(WOOD, damping_ratio=0.03), PEN._replace(mass_kg=mass_kg))[520:, 2]
     spectrum = np.abs(np.fft.rfft(normal * np.hanning(len(normal)), 1 << 16))
     return float(np.fft.rfftfreq(1 << 16, 1.0 / SAMPLE_RATE_HZ)[np.argmax(spectrum)])
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
-Float = NDArray[np.float64]
+import numpy as np
+
+if TYPE_CHECKING:  # the add-on is switched on without it
+    from numpy.typing import NDArray
+
+    Float = NDArray[np.float64]
 
 
 class Hand:

@@ -3,8 +3,8 @@ nothing."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 SPEAKERS = ""
 """The output that is no actuator: Blender's own sound device."""
@@ -22,16 +22,14 @@ class Phase(Enum):
     LIVE = "live"
 
 
-@dataclass(frozen=True)
-class Output:
+class Output(NamedTuple):
     """A way to a device. target: as `hnf stream --to` takes it. title: what it calls itself."""
 
     target: str
     title: str
 
 
-@dataclass(frozen=True)
-class ActuatorFacts:
+class ActuatorFacts(NamedTuple):
     """level_m_s2: RMS of the last moment. share: of it in what may leave at most, 0 to 1. lines: figures in words.
     problem: why nothing sounds, one sentence, "" = none."""
 
@@ -42,21 +40,21 @@ class ActuatorFacts:
     problem: str = ""
 
 
-@dataclass
 class ActuatorState:
     """chosen: target where there are no preferences to keep it. outputs: devices as last looked for; looked: whether
     they were; seeking: they are looked for now. without: Python packages that are not there or cannot be loaded;
     missing: the same in sentences. skin: what a skin would get of the shown stroke on the virtual actuator, in
     words."""
 
-    chosen: str = SPEAKERS
-    outputs: tuple[Output, ...] = ()
-    looked: bool = False
-    seeking: bool = False
-    without: frozenset[str] = frozenset()
-    missing: tuple[str, ...] = ()
-    facts: ActuatorFacts = ActuatorFacts()
-    skin: tuple[str, ...] = ()
+    def __init__(self) -> None:
+        self.chosen = SPEAKERS
+        self.outputs: tuple[Output, ...] = ()
+        self.looked = False
+        self.seeking = False
+        self.without: frozenset[str] = frozenset()
+        self.missing: tuple[str, ...] = ()
+        self.facts = ActuatorFacts()
+        self.skin: tuple[str, ...] = ()
 
 
 ACTUATOR = ActuatorState()

@@ -6,7 +6,7 @@ import shutil
 import sys
 import time
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -87,7 +87,7 @@ class Bake(ChildJob):
         return self._end(LastJob(True, tr("Bake cancelled. Nothing was changed; finished close-ups are kept.")))
 
     def _end(self, ended: LastJob) -> LastJob:
-        return super()._end(replace(ended, scene=self._prepared.order.scene))
+        return super()._end(ended._replace(scene=self._prepared.order.scene))
 
     def clean(self) -> None:
         if self._child is not None:
@@ -137,7 +137,7 @@ def bake_in_line(scene: Any, view_layer: Any, only: Sequence[str] = ()) -> LastJ
     try:
         result = _exhaust(work_steps(prepared.order, prepared.folder))
         committed = _exhaust(commit_steps(result, prepared.folder, prepared.place))
-        STATE.last_job = replace(told(result, committed, time.monotonic() - started), scene=scene.name)
+        STATE.last_job = told(result, committed, time.monotonic() - started)._replace(scene=scene.name)
         return STATE.last_job
     except HnfError as error:
         STATE.last_job = LastJob(False, str(error), scene=scene.name)
@@ -151,7 +151,7 @@ def probe_in_line(scene: Any, view_layer: Any, place: ProbePlace) -> LastJob:
     prepared = prepare(scene, view_layer, place=place)
     try:
         _exhaust(work_steps(prepared.order, prepared.folder))
-        STATE.last_job = replace(looked(take_probe(prepared.folder)), scene=scene.name)
+        STATE.last_job = looked(take_probe(prepared.folder))._replace(scene=scene.name)
         return STATE.last_job
     finally:
         remove_folder(prepared.folder)

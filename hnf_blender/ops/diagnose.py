@@ -13,7 +13,6 @@ import numpy
 
 from hnf_core import __version__
 from hnf_core.errors import HnfError
-from hnf_core.material.token import ENCODER_ID
 
 from .. import compat
 from ..state.folders import cache_folder
@@ -37,6 +36,8 @@ def versions() -> tuple[tuple[str, str], ...]:
 
 def collect() -> tuple[tuple[str, str], ...]:
     """Versions, identities, paths and the last error. Reads the weights and looks through folders; never raises."""
+    from hnf_core.material.token import ENCODER_ID
+
     cache = cache_folder()
     rows = [
         *versions(),

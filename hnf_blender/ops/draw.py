@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 
 from hnf_core.errors import HnfError, SceneError
-from hnf_core.material.mechanics import PROBES
+from hnf_core.material.probe import PROBES
 from hnf_core.units import m_to_mm, mm_to_m
 
 from ..props.stroke import FORCE_MAX_N

@@ -16,7 +16,7 @@ from ..ui.layout import CHARACTER_PX, MARGIN_PX
 from ..ui.texts import job_text, left_text, wrapped
 from .active import one_line
 from .greyed import greyed
-from .materials import LIBRARY, felt_object
+from .materials import felt_object, listed_library
 from .modal_job import ModalJob, no_job_runs
 from .outside_python import python_path
 
@@ -49,7 +49,7 @@ class Choices:
         description="As the recordings call it, such as ABS Plastic; of your own, the folder of its tables",
     )
     library: bpy.props.EnumProperty(
-        name="Material", description="Material of the library to simulate", items=LIBRARY
+        name="Material", description="Material of the library to simulate", items=listed_library
     )  # fmt: skip
     effort: bpy.props.EnumProperty(
         name="Effort",

@@ -2,12 +2,12 @@
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
+from functools import lru_cache
 from typing import Any
 
 import bpy
 
 from hnf_core.errors import HnfError
-from hnf_core.material.library import load_library
 
 from ..props.scene import active_stroke
 from ..state.session import STATE
@@ -17,21 +17,25 @@ from .greyed import greyed
 UNDOABLE = {"REGISTER", "UNDO"}
 
 
-def library_items() -> list[tuple[str, str, str]]:
-    """The library as a list to search, grouped by category: "Wood ▸ Oak wood"."""
+@lru_cache(maxsize=1)
+def library_items() -> tuple[tuple[str, str, str], ...]:
+    """The library as a list to search, grouped by category: "Wood ▸ Oak wood". Kept, for Blender keeps no texts."""
+    from hnf_core.material.library import load_library  # here: switching the add-on on needs no library
+
     shown = sorted((material.category, material.name, material.words) for material in load_library())
-    return [
+    return tuple(
         (name, f"{category.capitalize()} ▸ {spoken(name)}", "Also found as: " + ", ".join(words))
         for category, name, words in shown
-    ]
+    )
+
+
+def listed_library(_properties: Any, _context: Any) -> tuple[tuple[str, str, str], ...]:
+    return library_items()
 
 
 def spoken(name: str) -> str:
     """A library name for people: "oak-wood" → "Oak wood"."""
     return name.replace("-", " ").capitalize()
-
-
-LIBRARY = library_items()
 
 
 def felt_object(context: Any) -> Any:
@@ -73,6 +77,7 @@ class HNF_OT_suggest(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  #
         return True
 
     def execute(self, context: Any) -> set[str]:
+        from hnf_core.material.library import load_library
         from hnf_core.material.prior import rank
         from hnf_core.tactile.tactile_map import Route
 
@@ -109,7 +114,7 @@ class HNF_OT_material_choose(bpy.types.Operator):  # type: ignore[misc]  # noqa:
         description="Full name of the Blender material, which tells linked ones from those of this file",
         options={"HIDDEN"},
     )
-    name: bpy.props.EnumProperty(name="Feels like", description="Material of the library", items=LIBRARY)
+    name: bpy.props.EnumProperty(name="Feels like", description="Material of the library", items=listed_library)
 
     @classmethod
     def description(cls, _context: Any, properties: Any) -> str:
@@ -152,7 +157,7 @@ class HNF_OT_stroke_material(bpy.types.Operator):  # type: ignore[misc]  # noqa:
     bl_options = UNDOABLE
     bl_property = "name"
 
-    name: bpy.props.EnumProperty(name="Feels like", description="Material of the library", items=LIBRARY)
+    name: bpy.props.EnumProperty(name="Feels like", description="Material of the library", items=listed_library)
 
     @classmethod
     def poll(cls, context: Any) -> bool:

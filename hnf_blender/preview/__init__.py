@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 from typing import Any
 
 from . import timeline
@@ -23,15 +22,15 @@ BUSY_S = 0.5
 Blender draws, nothing is collected."""
 
 
-@dataclass
 class Looked:
     """What is known of one scene that a window shows. seen: of which signals follow; drawn: what the panel shows of the
     active stroke, busy_since when. waiting: names of strokes to be looked at yet."""
 
-    seen: object = None
-    drawn: object = None
-    busy_since: float = math.inf
-    waiting: list[str] = field(default_factory=list)
+    def __init__(self) -> None:
+        self.seen: object = None
+        self.drawn: object = None
+        self.busy_since = math.inf
+        self.waiting: list[str] = []
 
 
 _looked: dict[str, Looked] = {}
@@ -174,7 +173,7 @@ def _worth_drawing(facts: PreviewFacts | None, looked: Looked) -> PreviewFacts |
         looked.busy_since = math.inf
         return facts
     looked.busy_since = min(looked.busy_since, time.monotonic())
-    return facts if time.monotonic() - looked.busy_since >= BUSY_S else replace(facts, busy=False)
+    return facts if time.monotonic() - looked.busy_since >= BUSY_S else facts._replace(busy=False)
 
 
 def _sound(context: Any, heard: set[str], timeline_plays: bool) -> None:

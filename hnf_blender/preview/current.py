@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from hnf_core.actuators.profile import ActuatorProfile, Levels
+    from hnf_core.actuators.levels import Levels
+    from hnf_core.actuators.profile import ActuatorProfile
 
     from .hearing import Heard
     from .pictures import Look
@@ -198,7 +199,7 @@ def words(shown: Heard, profile: ActuatorProfile, gain_db: float) -> list[str]:
 
 def levels_against(shown: Heard, profile: ActuatorProfile) -> Levels:
     """Computed once for a signal and an actuator: facts are told many times a second."""
-    from hnf_core.actuators.profile import levels_of
+    from hnf_core.actuators.levels import levels_of
 
     key = (shown.stamp, profile)
     if key not in _levels:

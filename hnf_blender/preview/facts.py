@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from .hearing import Heard, Listener
 
 
-@dataclass(frozen=True)
-class PreviewFacts:
+class PreviewFacts(NamedTuple):
     """A stroke's signal as it is shown. Figures in s, m/s² and dB; headroom_db: None where the actuator's largest is
     not known. shows: "A" (kept) or "now". has_kept: is there an A. busy: a newer one is being made. problem: why what
     is shown is not true any more, or why there is nothing; "" = true. lines: all of it in words."""
@@ -29,25 +27,25 @@ class PreviewFacts:
     lines: tuple[str, ...] = ()
 
 
-@dataclass
 class PreviewState:
     """All by stroke name. heard: the newest signal. kept: A of the comparison. on_kept: strokes of which A is heard.
     asked: stamp of the newest request. problems: why there is no true signal. facts, icons: what panels show.
     play_when_ready: stroke to be played when its signal is there. sounding: stroke that plays, "" = none or the
     timeline. exported: a sentence for each file of the last export, what it cost; losses: the whole report."""
 
-    heard: dict[str, Heard] = field(default_factory=dict)
-    kept: dict[str, Heard] = field(default_factory=dict)
-    on_kept: set[str] = field(default_factory=set)
-    asked: dict[str, object] = field(default_factory=dict)
-    problems: dict[str, str] = field(default_factory=dict)
-    facts: dict[str, PreviewFacts] = field(default_factory=dict)
-    icons: dict[str, int] = field(default_factory=dict)
-    play_when_ready: str = ""
-    sounding: str = ""
-    exported: tuple[str, ...] = ()
-    losses: str = ""
-    listener: Listener | None = None
+    def __init__(self) -> None:
+        self.heard: dict[str, Heard] = {}
+        self.kept: dict[str, Heard] = {}
+        self.on_kept: set[str] = set()
+        self.asked: dict[str, object] = {}
+        self.problems: dict[str, str] = {}
+        self.facts: dict[str, PreviewFacts] = {}
+        self.icons: dict[str, int] = {}
+        self.play_when_ready = ""
+        self.sounding = ""
+        self.exported: tuple[str, ...] = ()
+        self.losses = ""
+        self.listener: Listener | None = None
 
     def shown(self, name: str) -> Heard | None:
         """What is heard and seen of a stroke: A, or the newest."""

@@ -19,7 +19,8 @@ from hnf_core.archive import DAMAGED, read_arrays
 from hnf_core.errors import FileError, HnfError, SceneError, StrokeError
 from hnf_core.field.stroke import HeightProfile, StrokeInput
 from hnf_core.field.weights import field_bytes, parse_field
-from hnf_core.material.mechanics import PROBES, Mechanics
+from hnf_core.material.mechanics import Mechanics
+from hnf_core.material.probe import PROBES
 
 from ..bridge.keeping import drop, keep, kept
 

@@ -5,7 +5,7 @@ the Graph Editor is the force editor."""
 
 import bpy
 
-from hnf_core.material.mechanics import PROBES
+from hnf_core.material.probe import PROBES
 
 from .overriding import OVERRIDABLE
 

@@ -3,9 +3,8 @@ the .blend. Blender data is named, never referenced: a reference dies with the n
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from hnf_core.material.prior import Suggestion
@@ -30,8 +29,7 @@ class Freshness(Enum):
     BROKEN = "broken"
 
 
-@dataclass(frozen=True)
-class StrokeStatus:
+class StrokeStatus(NamedTuple):
     """why: one sentence for the artist. duration_s, library_material, routes, confidence, warnings: as last baked.
     shader: the Blender material that it mostly touches."""
 
@@ -46,8 +44,7 @@ class StrokeStatus:
     shader: str = ""
 
 
-@dataclass(frozen=True)
-class JobStatus:
+class JobStatus(NamedTuple):
     """stage, done of total, elapsed_s, left_s (None = not known yet): of the running job, for panels and status bar."""
 
     title: str
@@ -58,8 +55,7 @@ class JobStatus:
     left_s: float | None
 
 
-@dataclass(frozen=True)
-class LastJob:
+class LastJob(NamedTuple):
     """How the last job ended. ok False: message says what went wrong and what to do. written: how many strokes and
     meshes got something all the same. scene: whose strokes it was about, by name."""
 
@@ -70,8 +66,7 @@ class LastJob:
     scene: str = ""
 
 
-@dataclass(frozen=True)
-class PlanLine:
+class PlanLine(NamedTuple):
     """One line of the plan as the Scene panel shows it. kind: "needed", "fresh", "skipped", "failed" or "note"."""
 
     kind: str
@@ -79,8 +74,7 @@ class PlanLine:
     why: str
 
 
-@dataclass(frozen=True)
-class PlanView:
+class PlanView(NamedTuple):
     """lines: of the plan. seconds: estimate for what is needed. bytes_after: what the bake will keep in the .blend.
     scene: of which it speaks, by name."""
 
@@ -90,7 +84,6 @@ class PlanView:
     scene: str = ""
 
 
-@dataclass
 class SessionState:
     """strokes: by stroke object name. dirty: names of datablocks changed since their strokes were looked at.
     suggestions: by the full name of the Blender material, the most apt first. reliefs: by that name too, as seen where
@@ -99,19 +92,20 @@ class SessionState:
     outside: the external Python as last checked; no file's matter.
     changes: counts what people changed, undo and redo included. own: above 0 while the add-on itself changes things."""
 
-    strokes: dict[str, StrokeStatus] = field(default_factory=dict)
-    dirty: set[str] = field(default_factory=set)
-    job: JobStatus | None = None
-    last_job: LastJob | None = None
-    plan: PlanView | None = None
-    suggestions: dict[str, tuple[Suggestion, ...]] = field(default_factory=dict)
-    reliefs: dict[str, Relief] = field(default_factory=dict)
-    diagnosis: tuple[tuple[str, str], ...] = ()
-    heard: bool = False
-    probe: ProbeView | None = None
-    outside: OutsidePython | None = None
-    changes: int = 0
-    own: int = 0
+    def __init__(self) -> None:
+        self.strokes: dict[str, StrokeStatus] = {}
+        self.dirty: set[str] = set()
+        self.job: JobStatus | None = None
+        self.last_job: LastJob | None = None
+        self.plan: PlanView | None = None
+        self.suggestions: dict[str, tuple[Suggestion, ...]] = {}
+        self.reliefs: dict[str, Relief] = {}
+        self.diagnosis: tuple[tuple[str, str], ...] = ()
+        self.heard = False
+        self.probe: ProbeView | None = None
+        self.outside: OutsidePython | None = None
+        self.changes = 0
+        self.own = 0
 
     def clear(self) -> None:
         """Forget everything: another file is open."""

@@ -20,7 +20,7 @@ class Action:
     rate: samples per second. direction: (n, 2) unit vectors (cos d, sin d) in the tangent frame of the touched
     patch; where the hand rests, the last direction is kept. speed: (n,) m/s ≥ 0. force: (n,) N ≥ 0.
     position: (n,) m, signed place along the path (arc length; runs backward when the stroke does).
-    contact: (n,) bool, False where F_z = 0 or the path is off the surface. probe: name in mechanics.PROBES.
+    contact: (n,) bool, False where F_z = 0 or the path is off the surface. probe: name in probe.PROBES.
     """
 
     rate: float

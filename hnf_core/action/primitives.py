@@ -3,7 +3,7 @@ any other scrape or rub, of its own direction, force and speed (words.py)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from ..errors import UsageError
 
@@ -11,8 +11,7 @@ SCRAPE_SPEED_M_S = 0.1
 SOFT_N, HARD_N, RUB_N = 0.5, 2.0, 1.0
 
 
-@dataclass(frozen=True)
-class Primitive:
+class Primitive(NamedTuple):
     """kind: scrape or rub. direction: unit vector of a scrape in the tangent plane (x right, y up). force: N.
     speed: m/s."""
 

@@ -1,18 +1,16 @@
-"""What vibrotactile transducers can do, as far as their makers say so, and how a signal fits into that."""
+"""What vibrotactile transducers can do, as far as their makers say so."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from ..errors import UsageError
-from .limits import Limits
-from .response import Response
 
 if TYPE_CHECKING:
-    from ..signal import Signal
+    from .limits import Limits
+    from .response import Response
 
 
 @dataclass(frozen=True)
@@ -37,11 +35,13 @@ class ActuatorProfile:
     def limits(self) -> Limits:
         """What may leave for it. Where its maker is silent: full scale as the generic voice coil's, half of it for
         ever, 10 s to warm; no steeper than a full-scale sine at the top of its range."""
+        from .limits import Limits  # here: the panels list the profiles, and let nothing out
+
         full_scale = self.peak_m_s2 or GENERIC_PEAK_M_S2
         highest = self.range_hz[1] if self.range_hz is not None else 1000.0
         return Limits(
             full_scale,
-            slew_per_s=2.0 * np.pi * highest,
+            slew_per_s=2.0 * math.pi * highest,
             sustained=self.sustained or 0.5,
             thermal_s=self.thermal_s or 10.0,
         )
@@ -102,32 +102,3 @@ def profile_of(name: str) -> ActuatorProfile:
     if name not in PROFILES:
         raise UsageError(f"there is no actuator '{name}'.", remedy=f"Known: {', '.join(PROFILES)}.")
     return PROFILES[name]
-
-
-@dataclass(frozen=True)
-class Levels:
-    """peak, rms: m/s². headroom_db: from peak to the actuator's largest, below 0 where it cannot follow; None where its
-    largest is not known. below_share, above_share: 0–1 of the signal's energy outside its range; None likewise."""
-
-    peak: float
-    rms: float
-    headroom_db: float | None
-    below_share: float | None
-    above_share: float | None
-
-
-def levels_of(signal: Signal, profile: ActuatorProfile) -> Levels:
-    """How signal fits profile. A silent signal has infinite headroom and no energy anywhere."""
-    samples = np.asarray(signal.samples, dtype=np.float64)
-    peak = float(np.abs(samples).max(initial=0.0))
-    headroom = None
-    if profile.peak_m_s2 is not None:
-        headroom = float("inf") if peak == 0.0 else float(20.0 * np.log10(profile.peak_m_s2 / peak))
-    below = above = None
-    if profile.range_hz is not None:
-        energy = np.square(np.abs(np.fft.rfft(samples, max(len(samples), 1))))
-        frequency = np.fft.rfftfreq(max(len(samples), 1), 1.0 / signal.sample_rate)
-        whole = float(energy.sum()) or 1.0
-        below = float(energy[frequency < profile.range_hz[0]].sum()) / whole
-        above = float(energy[frequency > profile.range_hz[1]].sum()) / whole
-    return Levels(peak, signal.rms, headroom, below, above)

@@ -27,7 +27,7 @@ from ..field.weights import field_for, load_field, own_material
 from ..material.hnf_file import SUFFIX, completed, read_hnf
 from ..material.library import find
 from ..material.material import LibraryMaterial
-from ..material.mechanics import PROBES
+from ..material.probe import PROBES
 from ..material.token import split_encoders
 from .seed import seed_of
 from .synth_long import LONG_S, Written, write_long

@@ -13,7 +13,8 @@ from ..action.action import Action
 from ..errors import UsageError
 from ..material.library import load_library
 from ..material.material import LibraryMaterial
-from ..material.mechanics import PROBES, Mechanics
+from ..material.mechanics import Mechanics
+from ..material.probe import PROBES
 from ..simulation.dft321 import dft321
 from ..simulation.sampling import SmoothedMaps
 from ..simulation.simulate import SAMPLE_RATE_HZ, Stroke, simulate_batch

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..material.contact import force_response, height_response
-from ..material.mechanics import PROBES, Mechanics, Probe
+from ..material.mechanics import Mechanics
+from ..material.probe import PROBES, Probe
 from .carriers import MODEL_RATE_HZ
 from .modulation import interpolate, states_read
 

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..material.contact import with_defaults
-from ..material.mechanics import PROBES, Mechanics
+from ..material.mechanics import Mechanics
+from ..material.probe import PROBES
 from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, TOKEN_DIM
 from .carriers import Carriers
 from .linear_contact import (

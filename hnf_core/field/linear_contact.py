@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..material.contact import contact_radius, height_power, resonance_hz, tip_response, with_defaults
-from ..material.mechanics import PROBES, Mechanics
+from ..material.mechanics import Mechanics
+from ..material.probe import PROBES
 from .carriers import ARC_PER_OCTAVE, Carriers
 from .linear_texture import add_at, cut_lines, cut_noise, texture_of
 from .lines import Lines

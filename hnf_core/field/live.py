@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from ..action.action import ACTION_RATE_HZ
 from ..errors import UsageError
-from ..material.mechanics import PROBES, Mechanics, beyond_limits
+from ..material.mechanics import Mechanics, beyond_limits
+from ..material.probe import PROBES
 from ..material.token import LARGEST_VALUE, TOKEN_DIM
 from .carriers import ARC_PER_OCTAVE, MODEL_RATE_HZ
 from .field import Field

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..material.contact import force_response
-from ..material.mechanics import PROBES, Mechanics, Probe
+from ..material.mechanics import Mechanics
+from ..material.probe import PROBES, Probe
 from .carriers import MODEL_RATE_HZ
 from .contact_filter import LEAD, LIGHTEST_OCTAVE, LOADS_PER_OCTAVE, TAIL
 from .timeline import SAMPLES_PER_STATE, smooth

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import UsageError
-from ..material.mechanics import PROBES, Mechanics
+from ..material.mechanics import Mechanics
+from ..material.probe import PROBES
 from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M
 from .features import (
     DIRECTION_AT,

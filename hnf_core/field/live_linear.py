@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..material.contact import surface_stiffness_at_1n, with_defaults
-from ..material.mechanics import Mechanics, Probe
+from ..material.mechanics import Mechanics
+from ..material.probe import Probe
 from .carriers import ARC_PER_OCTAVE, Carriers
 from .linear_contact import FLANK_FRICTION, HAND_DAMPING_RATIO, HAND_STIFFNESS_N_M, arc_gain
 from .live_texture import LiveTexture

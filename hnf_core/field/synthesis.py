@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..action.action import ACTION_RATE_HZ, Action
 from ..blas import one_blas_thread
 from ..material.contact import tip_response
-from ..material.mechanics import PROBES
+from ..material.probe import PROBES
 from ..signal import Signal
 from .adaptive import accumulated, sample_emission
 from .carriers import MODEL_RATE_HZ, Carriers

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .mechanics import PROBES, Mechanics, Probe
+from .mechanics import Mechanics
+from .probe import PROBES, Probe
 
 Float = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ..errors import UsageError
+
+if TYPE_CHECKING:  # the add-on is switched on without it
+    from numpy.typing import ArrayLike
 
 SHORTEST_M, LONGEST_M = 1e-4, 1e4
 """Of a length that can be told: 0.1 mm to 10 km."""

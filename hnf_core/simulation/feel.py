@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..material.mechanics import PROBES, Mechanics, Probe
+from ..material.mechanics import Mechanics
+from ..material.probe import PROBES, Probe
 from .dft321 import dft321
 from .sampling import SmoothedMaps
 from .simulate import COMPLETE, SAMPLE_RATE_HZ, Physics, simulate_batch, straight_stroke

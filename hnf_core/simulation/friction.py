@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..material.contact import contact_stiffness, surface_stiffness_at_1n, with_defaults
-from ..material.mechanics import Mechanics, Probe
+from ..material.mechanics import Mechanics
+from ..material.probe import Probe
 
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..material.contact import surface_stiffness_at_1n, with_defaults
-from ..material.mechanics import Mechanics, Probe
+from ..material.mechanics import Mechanics
+from ..material.probe import Probe
 from .friction import LAWS, Law, bristles_of
 
 Float = NDArray[np.float64]

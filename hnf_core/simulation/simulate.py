@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..material.contact import contact_radius
-from ..material.mechanics import PROBES, Mechanics, Probe
+from ..material.mechanics import Mechanics
+from ..material.probe import PROBES, Probe
 from .integrate import DRIVES, HAND_DAMPING_RATIO, HAND_DRAG_PER_S, HAND_STIFFNESS_N_M, Motion, Physics, integrate
 from .resample import blocks, decimate
 from .sampling import SmoothedMaps

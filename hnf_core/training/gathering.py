@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from ..errors import FileError
 from ..files import write_bytes
-from ..material.mechanics import PROBES, Mechanics
+from ..material.mechanics import Mechanics
+from ..material.probe import PROBES
 from ..tensor_file import packed, unpacked
 from .conditions import Steady, steady_strokes
 from .recordings import record

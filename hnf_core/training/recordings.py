@@ -11,7 +11,7 @@ from multiprocessing import get_context
 import numpy as np
 from numpy.typing import NDArray
 
-from ..material.mechanics import PROBES
+from ..material.probe import PROBES
 from ..metrics.spectra import WINDOW, window_power
 from ..simulation.dft321 import dft321
 from ..simulation.simulate import SAMPLE_RATE_HZ, Stroke, simulate_batch, straight_stroke

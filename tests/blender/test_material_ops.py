@@ -11,7 +11,7 @@ from hnf_blender.bridge.picture_names import picture_names
 from hnf_blender.bridge.shader_values import stated_appearance
 from hnf_blender.compat import switch_nodes_on
 from hnf_blender.jobs.work import scene_session
-from hnf_blender.ops.materials import CLASSES, LIBRARY, HNF_OT_material_choose, felt_object
+from hnf_blender.ops.materials import CLASSES, HNF_OT_material_choose, felt_object, library_items
 from hnf_blender.rooms import switch_off, switch_on
 from hnf_blender.state.probe import Relief
 from hnf_blender.state.session import STATE
@@ -182,19 +182,19 @@ def test_a_suggestion_says_why_in_its_tooltip() -> None:
 
 
 def test_the_searchable_list_is_the_library_grouped_by_category() -> None:
-    assert sorted(name for name, _, _ in LIBRARY) == sorted(material.name for material in load_library())
-    categories = [label.split(" ▸ ")[0] for _, label, _ in LIBRARY]
+    assert sorted(name for name, _, _ in library_items()) == sorted(material.name for material in load_library())
+    categories = [label.split(" ▸ ")[0] for _, label, _ in library_items()]
     assert categories == sorted(categories)
 
 
 def test_a_stroke_may_have_a_material_of_its_own() -> None:
     stroke = bpy.data.objects.new("Rub", bpy.data.curves.new("Rub", "CURVE"))
     with pytest.raises(RuntimeError, match="stroke first"):
-        bpy.ops.hnf.stroke_material(name="felt" if any(n == "felt" for n, _, _ in LIBRARY) else LIBRARY[0][0])
+        bpy.ops.hnf.stroke_material(name=library_items()[0][0])
     bpy.context.scene.collection.objects.link(stroke)
     stroke.hnf_stroke.is_stroke = True
-    assert bpy.ops.hnf.stroke_material(name=LIBRARY[0][0]) == {"FINISHED"}
-    assert stroke.hnf_stroke.material == LIBRARY[0][0]
+    assert bpy.ops.hnf.stroke_material(name=library_items()[0][0]) == {"FINISHED"}
+    assert stroke.hnf_stroke.material == library_items()[0][0]
     assert bpy.ops.hnf.stroke_material_auto() == {"FINISHED"}
     assert stroke.hnf_stroke.material == ""
 

@@ -10,7 +10,7 @@ from ui_strings import strings_of_classes, strings_of_sources
 
 import hnf_blender
 from hnf_blender import translations
-from hnf_blender.ops.materials import LIBRARY
+from hnf_blender.ops.materials import library_items
 from hnf_blender.touch.inputs import WORDS
 from hnf_blender.ui import texts
 from hnf_core.actuators.profile import PROFILES
@@ -32,7 +32,7 @@ def test_every_text_has_a_german_one(switched_on: None) -> None:
     wanted |= {text for table in tables for _, text in table}
     wanted |= set(WORDS.values()) | {"no stroke touches it", "hidden", "muted"}
     # Names and citations stay as they are.
-    wanted -= {text for _, label, words in LIBRARY for text in (label, words)}
+    wanted -= {text for _, label, words in library_items() for text in (label, words)}
     wanted -= {text for profile in PROFILES.values() for text in (profile.title, profile.source)}
     assert len(wanted) > 200
     assert [text for text in wanted if "--" in text or "hnf stream" in text] == []  # said at a command line alone

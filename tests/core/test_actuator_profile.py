@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hnf_core.actuators.profile import GENERIC, PROFILES, ActuatorProfile, levels_of, own_profile, profile_of
+from hnf_core.actuators.levels import levels_of
+from hnf_core.actuators.profile import GENERIC, PROFILES, ActuatorProfile, own_profile, profile_of
 from hnf_core.errors import UsageError
 from hnf_core.signal import Signal
 

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hnf_core.material import contact
-from hnf_core.material.mechanics import PROBES, UNKNOWN, Mechanics
+from hnf_core.material.mechanics import UNKNOWN, Mechanics
+from hnf_core.material.probe import PROBES
 
 mechanics_strategy = st.builds(
     Mechanics,

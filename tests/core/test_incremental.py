@@ -17,7 +17,8 @@ from hnf_core.field.synthesis import BLOCK, synthesise
 from hnf_core.field.weights import load_field
 from hnf_core.material.contact import force_response, height_response
 from hnf_core.material.library import find, load_library
-from hnf_core.material.mechanics import PROBES, Mechanics
+from hnf_core.material.mechanics import Mechanics
+from hnf_core.material.probe import PROBES
 
 FIELD = load_field()
 STATES = 401

@@ -18,7 +18,8 @@ from hnf_core.field.synthesis import contact_term, prepare
 from hnf_core.field.weights import load_field
 from hnf_core.material.contact import force_response
 from hnf_core.material.library import load_library
-from hnf_core.material.mechanics import PROBES, UNKNOWN
+from hnf_core.material.mechanics import UNKNOWN
+from hnf_core.material.probe import PROBES
 
 LIBRARY = load_library()
 ROUNDING = 1e-11

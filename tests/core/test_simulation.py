@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from hnf_core.errors import MaterialError
 from hnf_core.material import contact
-from hnf_core.material.mechanics import PROBES, UNKNOWN, Mechanics
+from hnf_core.material.mechanics import UNKNOWN, Mechanics
+from hnf_core.material.probe import PROBES
 from hnf_core.simulation.dft321 import dft321
 from hnf_core.simulation.recipes import EXAMPLES, grating, random_recipe
 from hnf_core.simulation.sampling import SmoothedMaps

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from hnf_core.material.mechanics import PROBES, Mechanics
+from hnf_core.material.mechanics import Mechanics
+from hnf_core.material.probe import PROBES
 from hnf_core.simulation.friction import STATIC_OVER_KINETIC, STRIBECK_SPEED_M_S, Bristles, LuGre, bristles_of
 from hnf_core.simulation.integrate import contact_force
 from hnf_core.simulation.sampling import SmoothedMaps

@@ -22,7 +22,8 @@ from hnf_core.material.contact import (
     tip_response,
 )
 from hnf_core.material.encoder import describe
-from hnf_core.material.mechanics import PROBES, Mechanics
+from hnf_core.material.mechanics import Mechanics
+from hnf_core.material.probe import PROBES
 from hnf_core.material.token import LEVELS, SMOOTH_LEVEL, TOKEN_DIM
 from hnf_core.scene.patch import Patch
 from hnf_core.tactile.height import HIGHEST_M, height_from_slopes, tactile_map_from_height

@@ -13,7 +13,8 @@ from hnf_core.field.field import FieldConfig, evaluate, initial_parameters, stea
 from hnf_core.field.linear_texture import cut, texture_of  # noqa: E402
 from hnf_core.field.modulation import arc_term  # noqa: E402
 from hnf_core.field.weights import load_field  # noqa: E402
-from hnf_core.material.mechanics import PROBES, Mechanics  # noqa: E402
+from hnf_core.material.mechanics import Mechanics  # noqa: E402
+from hnf_core.material.probe import PROBES  # noqa: E402
 from hnf_core.metrics.spectra import window_power  # noqa: E402
 from hnf_core.simulation import simulate as simulator  # noqa: E402
 from hnf_core.simulation.surface import Noise, SurfaceRecipe, height_map, wavenumbers  # noqa: E402
