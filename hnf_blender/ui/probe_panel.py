@@ -9,7 +9,7 @@ import bpy
 from ..ops.materials import spoken
 from ..state.session import STATE
 from ..translations import tr
-from .layout import TouchPanel, hint, named, paragraph
+from .layout import TouchPanel, named, paragraph
 from .preview_panel import picture_units
 from .texts import factor_text, height_text, reason_text, routes_lines, stiffness_text, sure_text
 
@@ -27,10 +27,8 @@ class HNF_PT_probe(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: 
     def draw(self, context: Any) -> None:
         layout, view = self.layout, STATE.probe
         layout.operator("hnf.probe", text="Examine a Place", icon="EYEDROPPER")
-        if view is None or view.scene not in ("", context.scene.name):
-            hint(layout, context, tr("Click on a surface to see its tactile map, roughness, friction and materials"))
-            return
-        draw_found(layout, context, view)
+        if view is not None and view.scene in ("", context.scene.name):
+            draw_found(layout, context, view)
 
 
 def draw_found(layout: Any, context: Any, view: ProbeView) -> None:
