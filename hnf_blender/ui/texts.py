@@ -113,7 +113,7 @@ def job_text(job: JobStatus) -> str:
 def left_text(job: JobStatus) -> str:
     if job.left_s is None:
         return tr("{time} so far").format(time=time_text(job.elapsed_s))
-    return tr("about {time} left").format(time=time_text(job.left_s))
+    return tr("{time} left").format(time=time_text(job.left_s))
 
 
 def share_done(job: JobStatus) -> float:
@@ -125,7 +125,7 @@ def estimate_text(plan: PlanView) -> str:
     """What the plan costs; "" where nothing is needed."""
     if not any(line.kind == "needed" for line in plan.lines):
         return ""
-    return tr("About {time}; {size} kept in the .blend").format(
+    return tr("Takes {time}; keeps {size} in the .blend").format(
         time=time_text(plan.seconds), size=byte_text(plan.bytes_after)
     )
 

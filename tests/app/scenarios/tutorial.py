@@ -6,8 +6,7 @@ from pathlib import Path
 import bpy
 from drive.addon import force_keys, freshness, heard, state, strokes
 
-SCREEN = "1360x1600"  # the sidebar down to the preview's picture
-BELOW_PX = 200  # what of the preview is below that
+SCREEN = "1360x1600"  # the sidebar down to the preview's buttons
 SIDEBAR_PX = 330
 FOLDER = Path("/share/tutorial")
 
@@ -109,11 +108,6 @@ def check_play_is_pressed(stage):
     with stage.over():
         bpy.ops.hnf.preview_stop()
     yield from stage.picture("heard", settle=1.0)
-    with stage.over(region="UI"):
-        bpy.ops.view2d.scroll_down(deltay=BELOW_PX)
-    yield from stage.picture("heard-below", settle=1.0)
-    with stage.over(region="UI"):
-        bpy.ops.view2d.scroll_up(deltay=BELOW_PX)
 
 
 def check_it_is_pressed_harder(stage):
