@@ -38,12 +38,17 @@ class Law:
     decay: float
 
 
+def step_of(slew_per_s: float, rate_hz: float) -> int:
+    """Largest step from frame to frame in counts, of a slew in full scales per second."""
+    return int(min(slew_per_s * COUNTS / rate_hz, 2.0 * COUNTS))
+
+
 def law_of(limits: Limits, rate_hz: float) -> Law:
     """Raises UsageError where limits leave less than one count, or rate_hz is no rate."""
     if not 0.0 < rate_hz < 1e9:
         raise UsageError(f"a device does not play {rate_hz:g} frames a second.")
     peak = limits.peak_counts
-    step = int(min(limits.slew_per_s * COUNTS / rate_hz, 2.0 * COUNTS))
+    step = step_of(limits.slew_per_s, rate_hz)
     if peak < 1 or step < 1 or limits.sustained * COUNTS < 1.0:
         raise UsageError(
             f"within these limits nothing can be felt at {rate_hz:g} Hz: {limits}.",

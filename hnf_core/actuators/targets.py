@@ -114,10 +114,11 @@ def sink_of(target: Target, source_rate_hz: float, limits: Limits, channels: int
     if isinstance(target, VirtualTarget):
         from .virtual.sink import VirtualSink
 
-        return VirtualSink(rate, channels, peak=limits.peak_counts)
+        return VirtualSink(rate, channels, peak=limits.peak_counts, slew_per_s=limits.slew_per_s)
     from .sinks.serial import BAUDRATE, SerialSink
 
-    return SerialSink(target.port, target.baudrate or BAUDRATE, rate, channels, peak=limits.peak_counts)
+    baudrate, peak = target.baudrate or BAUDRATE, limits.peak_counts
+    return SerialSink(target.port, baudrate, rate, channels, peak=peak, slew_per_s=limits.slew_per_s)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ def main(port: str) -> None:
     """Until standard input ends."""
     samples = noise(np.random.default_rng(0), 1)
     for _ in sys.stdin:
-        sink = SerialSink(port, rate_hz=RATE_HZ, peak=LAW.peak, slew=LAW.step)
+        sink = SerialSink(port, rate_hz=RATE_HZ, peak=LAW.peak, slew_per_s=LIMITS.slew_per_s)
         try:
             with Stream(Recorded(samples, RATE_HZ, loop=True), sink, LIMITS) as stream:
                 stream.start()

@@ -63,7 +63,7 @@ class WatchedSink(SerialSink):
     """noticed: the device's clock when it knew of a problem."""
 
     def __init__(self, port: VirtualPort, channels: int = 1) -> None:
-        super().__init__(port.path, rate_hz=RATE_HZ, channels=channels, peak=LAW.peak, slew=LAW.step)
+        super().__init__(port.path, rate_hz=RATE_HZ, channels=channels, peak=LAW.peak, slew_per_s=LIMITS.slew_per_s)
         self._watched = port
         self.noticed: int | None = None
 

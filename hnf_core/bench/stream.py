@@ -79,7 +79,10 @@ def _on_serial(case: Case, seconds: float) -> Row:
         record = Path(folder) / "played.npy"
         with device(record) as actuator:
             try:
-                sink = SerialSink(actuator.port, BAUDRATE, case.rate_hz, case.channels)
+                sink = SerialSink(
+                    actuator.port, BAUDRATE, case.rate_hz, case.channels,
+                    peak=LIMITS.peak_counts, slew_per_s=LIMITS.slew_per_s,
+                )  # fmt: skip
                 stream = Stream(_source(case.rate_hz, case.channels, seconds), sink, LIMITS, block_s=case.block_s)
                 with stream:
                     form = stream.start()

@@ -24,6 +24,8 @@ NO_TEMPERATURE = -32768
 """Of a device that does not measure it."""
 NO_SLEW_LIMIT = 65535
 """Larger than any step between two counts."""
+RAMP_MS = 4
+"""Longest that a device takes to fade."""
 
 
 class State(IntEnum):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import secrets
 import threading
 import time
@@ -10,11 +11,13 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 from ...errors import DeviceError, UsageError
+from ..law import step_of
 from ..limits import COUNTS
 from ..protocol.frames import Decoder, Encoder
 from ..protocol.messages import (
     FROM_DEVICE,
     NO_SLEW_LIMIT,
+    RAMP_MS,
     VERSION,
     Bye,
     Caps,
@@ -49,6 +52,14 @@ STOP_S = 0.02
 else plays."""
 
 
+def slew_told(slew_per_s: float, peak: int, rate_hz: int) -> int:
+    """Of START, in counts: what the limiter keeps to as well, but never less than the device's own fades take."""
+    if math.isinf(slew_per_s):
+        return NO_SLEW_LIMIT
+    fade = -(-peak // max(rate_hz // 1000 * RAMP_MS, 1))
+    return max(step_of(slew_per_s, rate_hz), fade)
+
+
 def _now() -> float:
     """Seconds that go on while the computer sleeps."""
     return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
@@ -66,18 +77,19 @@ class SerialSink:
         channels: int = 1,
         *,
         peak: int = COUNTS,
-        slew: int = NO_SLEW_LIMIT,
+        slew_per_s: float = math.inf,
         versions: tuple[int, int] = (VERSION, VERSION),
         answer_s: float = 2.0,
         clock: Callable[[], float] | None = None,
     ) -> None:
-        """rate_hz: what is asked for; of what the device has, the nearest is taken. None asks for 8 kHz. peak, slew:
-        counts that the device itself shall not exceed. versions: of the protocol, lowest and highest. answer_s: longest
-        to wait for a device that has just been plugged in. clock: seconds, also while the computer sleeps."""
+        """rate_hz: what is asked for; of what the device has, the nearest is taken. None asks for 8 kHz. peak [counts],
+        slew_per_s [full scales]: what the device itself shall not exceed. versions: of the protocol, lowest and
+        highest. answer_s: longest to wait for a device that has just been plugged in. clock: seconds, also while the
+        computer sleeps."""
         if not 1 <= channels <= 255:
             raise UsageError(f"a serial device has 1 to 255 channels, not {channels}.")
         self._port, self._baudrate, self._wanted_hz, self._channels = port, baudrate, rate_hz, channels
-        self._peak, self._slew, self._versions, self._answer_s = peak, slew, versions, answer_s
+        self._peak, self._slew_per_s, self._versions, self._answer_s = peak, slew_per_s, versions, answer_s
         self._clock = clock or _now
         self._changed = threading.Condition()
         self._session = Session(port)
@@ -254,10 +266,11 @@ class SerialSink:
         """START, until the first CREDIT of the session. Returns the frames that the device owes at most."""
         number, longest = secrets.randbelow(0xFFFF) + 1, int(LONGEST_QUEUE_S * self._rate_hz)
         peak, queue = min(self._peak, caps.peak), min(caps.queue, longest)
+        slew = slew_told(self._slew_per_s, peak, self._rate_hz)
         session, began, patience_s = self._session, self._clock(), START_S
         while session.credit is None:
             session.begin(number, self._rate_hz, self._clock())
-            self._send(Start(self._rate_hz, self._channels, peak, number, self._slew, queue))
+            self._send(Start(self._rate_hz, self._channels, peak, number, slew, queue))
             self._changed.wait_for(self._started, patience_s)
             self._raise_problem()
             busy = session.refused(Code.BUSY)

@@ -11,14 +11,13 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from ..protocol.messages import Start
+from ..protocol.messages import RAMP_MS, Start
 from ..sink import Counts
 
 Whole = NDArray[np.int64]
 
 QUEUE_MS = 15
-RAMP_MS = 4
-"""With so much owed at most and such ramps, silence comes within 20 ms, whatever has happened to the host."""
+"""With so much owed at most and ramps of RAMP_MS, silence comes within 20 ms, whatever has happened to the host."""
 
 
 class Command(Enum):

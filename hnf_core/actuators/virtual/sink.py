@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 from ..limits import COUNTS
-from ..protocol.messages import NO_SLEW_LIMIT, State
+from ..protocol.messages import State
 from ..sink import SinkFormat
 from ..sinks.serial import SerialSink
 from .device import Abilities
@@ -28,10 +29,10 @@ class VirtualSink(SerialSink):
         abilities: Abilities | None = None,
         transducer: Transducer = GENERIC_TRANSDUCER,
         peak: int = COUNTS,
-        slew: int = NO_SLEW_LIMIT,
+        slew_per_s: float = math.inf,
     ) -> None:
         """As SerialSink; abilities and transducer: of the device."""
-        super().__init__("virtual", rate_hz=rate_hz, channels=channels, peak=peak, slew=slew)
+        super().__init__("virtual", rate_hz=rate_hz, channels=channels, peak=peak, slew_per_s=slew_per_s)
         self._abilities, self._transducer = abilities, transducer
         self._device: VirtualPort | None = None
         self.recording = Recording(transducer)
