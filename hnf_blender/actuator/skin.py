@@ -30,12 +30,17 @@ class Felt:
 
 
 def felt(signal: Signal, profile: ActuatorProfile) -> Felt:
-    """Of a transducer that was at rest and cool."""
+    """Of a transducer that was at rest and cool, as the player plays on it: what profile's response would lose is made
+    up for."""
+    from hnf_core.actuators.compensation import stages_of
     from hnf_core.actuators.limiter import Limiter
     from hnf_core.actuators.virtual.transducer import GENERIC_TRANSDUCER, drive_of, move
 
     limiter = Limiter(profile.limits, signal.sample_rate, 1)
-    counts = np.concatenate([limiter.process(signal.samples[:, None]), limiter.release()])
+    samples = signal.samples[:, None]
+    for stage in stages_of(profile, signal.sample_rate, 1):
+        samples = stage.process(samples)
+    counts = np.concatenate([limiter.process(samples), limiter.release()])
     rest = np.zeros((round(PAUSE_S * signal.sample_rate), 1), dtype=np.int16)
     motion = move(GENERIC_TRANSDUCER, drive_of(np.concatenate([counts, rest])), signal.sample_rate)
     skin = motion.acceleration[: len(signal.samples)]
@@ -81,7 +86,15 @@ class Skin:
         return self.shown is not before
 
     def _work(self, key: object, signal: Signal, profile: ActuatorProfile) -> None:
-        self._found = key, felt(signal, profile)
+        from hnf_core.actuators.profile import OWN
+        from hnf_core.actuators.profile_file import profile_at
+        from hnf_core.errors import HnfError
+
+        try:  # the panel's profile of a file comes without its response
+            whole = profile if profile.name == OWN else profile_at(profile.name)
+        except HnfError:
+            return  # nothing is played either, and the player says why
+        self._found = key, felt(signal, whole)
 
 
 SKIN = Skin()

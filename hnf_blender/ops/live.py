@@ -3,8 +3,9 @@
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
 import time
+from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import bpy
 
@@ -19,6 +20,9 @@ from ..translations import tr
 from .active import AS_SET, metres_of, one_line, probe_of
 from .actuator import needs_actuator
 from .greyed import greyed
+
+if TYPE_CHECKING:
+    from ..state.still_true import StillTrue
 
 NOT_LIVE = "Through Blender's own sound nothing can be played live: install sounddevice"
 
@@ -72,6 +76,7 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
         from ..actuator.link import LINK
         from ..actuator.live import LiveTouch
         from ..preview import current
+        from ..state.still_true import StillTrue
 
         current.stop()
         try:
@@ -81,10 +86,21 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
             self.report({"WARNING"}, one_line(error))
             return False
         self._touch = LiveTouch(LINK, likely)
+        self._truth, self._told = StillTrue(), set[str]()
+        self._look_ahead(context)
         self._region: Any = None
         self._is_pen, self._pressure = False, 1.0
         redraw_tab()
         return True
+
+    def _look_ahead(self, context: Any) -> None:
+        """At what is likely to be touched first: hashing it would keep the pen waiting."""
+        from ..bridge.storage import TOKEN_ATTRIBUTE
+        from .materials import felt_object
+
+        likely = felt_object(context)
+        if likely is not None and likely.type == "MESH" and TOKEN_ATTRIBUTE in likely.data.attributes:
+            self._truth.of(likely, context.scene, context.view_layer)
 
     def _end(self, context: Any) -> None:
         from ..actuator.link import LINK
@@ -136,14 +152,18 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
         settings = context.scene.hnf
         force = force_at(self._pressure, self._is_pen, float(settings.live_pen_n), float(settings.live_mouse_n))
         try:
-            touch_at(self._touch, context, hit, force, time.perf_counter())
+            touch_at(self._touch, context, hit, force, time.perf_counter(), self._truth)
         except HnfError as error:
             self.report({"WARNING"}, one_line(error))
+        for name in self._truth.outdated - self._told:
+            said = tr("'{name}' changed since it was baked: it is felt by its look. Bake it again")
+            self.report({"WARNING"}, said.format(name=name))
+        self._told |= self._truth.outdated
 
 
-def touch_at(touch: Any, context: Any, hit: Any, force_n: float, time_s: float) -> None:
-    """Tell where the pen is: on what it met (a Hit), or lifted (None). Raises HnfError where what it met cannot be
-    felt."""
+def touch_at(touch: Any, context: Any, hit: Any, force_n: float, time_s: float, truth: "StillTrue") -> None:
+    """Tell where the pen is: on what it met (a Hit), or lifted (None). What was baked of another state of its surface
+    is not felt. Raises HnfError where what it met cannot be felt."""
     from ..bridge.under_pen import felt_there, meeting
 
     if hit is None or force_n <= 0.0:
@@ -151,6 +171,8 @@ def touch_at(touch: Any, context: Any, hit: Any, force_n: float, time_s: float) 
         return
     depsgraph = context.evaluated_depsgraph_get()
     met = meeting(hit, depsgraph, metres_of(context.scene))
+    if met.token >= 0 and not truth.of(hit.obj, context.scene, context.view_layer):
+        met = replace(met, token=-1)
     touch.meet(time_s, hit.obj.name, met, force_n, partial(felt_there, hit.obj, depsgraph, met.slot, met.token))
 
 

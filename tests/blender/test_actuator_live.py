@@ -25,6 +25,8 @@ from hnf_blender.bridge.own_material import carry
 from hnf_blender.bridge.under_pen import felt_there, meeting
 from hnf_blender.ops.live import likely_material, touch_at
 from hnf_blender.preview.stroke_bake import BAKE_PROPERTY
+from hnf_blender.state.session import STATE
+from hnf_blender.state.still_true import StillTrue
 from hnf_core.actuators.profile import GENERIC
 from hnf_core.errors import MaterialError, SceneError
 from hnf_core.material.hnf_file import from_library
@@ -70,8 +72,8 @@ def test_a_hand_goes_its_way_in_metres_along_the_surfaces_own_axes() -> None:
     choose(add_plane(), "denim")
     touch, told = hand()
     for k, x in enumerate((0.0, 0.01, 0.03)):
-        touch_at(touch, bpy.context, cast(x, 0.005), 1.5, 0.01 * k)
-    touch_at(touch, bpy.context, None, 1.5, 0.03)
+        touch_at(touch, bpy.context, cast(x, 0.005), 1.5, 0.01 * k, StillTrue())
+    touch_at(touch, bpy.context, None, 1.5, 0.03, StillTrue())
     assert [time for time, _, _ in told.moves] == pytest.approx([0.0, 0.01, 0.02, 0.03])
     assert [place for _, place, _ in told.moves] == [pytest.approx((x, 0.0), abs=1e-7) for x in (0, 0.01, 0.03, 0.03)]
     assert [force for _, _, force in told.moves] == [1.5, 1.5, 1.5, 0.0]
@@ -150,9 +152,9 @@ def test_lifted_again_and_again_is_told_once_and_a_pen_without_pressure_is_lifte
     touch, told = hand()
     touch.lift(0.0)
     assert told.moves == []
-    touch_at(touch, bpy.context, cast(0.0, 0.0), 1.0, 0.1)
-    touch_at(touch, bpy.context, cast(0.01, 0.0), 0.0, 0.2)
-    touch_at(touch, bpy.context, None, 1.0, 0.3)
+    touch_at(touch, bpy.context, cast(0.0, 0.0), 1.0, 0.1, StillTrue())
+    touch_at(touch, bpy.context, cast(0.01, 0.0), 0.0, 0.2, StillTrue())
+    touch_at(touch, bpy.context, None, 1.0, 0.3, StillTrue())
     assert [force for _, _, force in told.moves] == [1.0, 0.0]
 
 
@@ -164,7 +166,7 @@ def test_another_surface_feels_otherwise_and_is_told_before_it_is_touched() -> N
     bpy.context.view_layer.update()
     touch, told = hand("oak-wood")
     for k, x in enumerate((-0.03, -0.02, 0.02, 0.03, -0.02)):
-        touch_at(touch, bpy.context, cast(x, 0.0), 1.0, 0.1 * k)
+        touch_at(touch, bpy.context, cast(x, 0.0), 1.0, 0.1 * k, StillTrue())
     assert told.materials == ["denim", "oak-wood"]
     assert touch.material == "oak-wood"
     assert len(told.moves) == 5
@@ -193,11 +195,11 @@ def test_what_cannot_be_felt_lifts_the_hand() -> None:
     plane = add_plane()
     choose(plane, "denim")
     touch, told = hand()
-    touch_at(touch, bpy.context, cast(0.0, 0.0), 1.0, 0.1)
+    touch_at(touch, bpy.context, cast(0.0, 0.0), 1.0, 0.1, StillTrue())
     other = add_plane("Other", 0.02, z=0.01)
     choose(other, "no such thing")
     with pytest.raises(MaterialError):
-        touch_at(touch, bpy.context, cast(0.0, 0.0), 1.0, 0.2)
+        touch_at(touch, bpy.context, cast(0.0, 0.0), 1.0, 0.2, StillTrue())
     assert told.moves[-1][2] == 0.0
 
 
@@ -221,6 +223,33 @@ def test_what_was_baked_there_is_felt_until_another_material_is_chosen(warm_bake
     choose(plate, baked.name)
     bpy.context.view_layer.update()
     assert felt_there(plate, depsgraph(), met.slot, met.token) == baked
+
+
+def test_what_was_baked_of_another_state_of_the_surface_is_not_felt(warm_bake) -> None:
+    from job_scene import small_scene
+
+    small_scene()
+    assert bpy.ops.hnf.bake() == {"FINISHED"}
+    plate = bpy.data.objects[PLATE]
+    bpy.context.view_layer.update()
+    guessed = felt_there(plate, depsgraph(), 0, -1)
+    told = Told()
+    touch, truth = LiveTouch(told, guessed), StillTrue()
+    touch_at(touch, bpy.context, cast(0.0, 0.0), 1.0, 0.1, truth)
+    baked = touch._material
+    assert (baked != guessed, truth.outdated) == (True, set())
+    plate.data.vertices[0].co.x += 0.001
+    plate.data.update()
+    touch_at(touch, bpy.context, cast(0.001, 0.0), 1.0, 0.2, truth)
+    assert touch._material == baked  # nobody said that anything changed: nothing is hashed anew
+    STATE.changes += 1
+    touch_at(touch, bpy.context, cast(0.002, 0.0), 1.0, 0.3, truth)
+    assert (touch._material, truth.outdated) == (guessed, {PLATE})
+    plate.data.vertices[0].co.x -= 0.001
+    plate.data.update()
+    STATE.changes += 1
+    touch_at(touch, bpy.context, cast(0.003, 0.0), 1.0, 0.4, truth)
+    assert (touch._material, truth.outdated) == (baked, set())
 
 
 def test_before_the_pen_comes_down_the_active_mesh_is_meant() -> None:
@@ -249,7 +278,7 @@ def stroke_by_hand(link: Link, touch: LiveTouch, seconds: float, at_m_s: float =
     began, told = time.monotonic(), []
     while (now := time.monotonic() - began) < seconds:
         x = 0.03 * (2.0 * abs((now * at_m_s / 0.06) % 2.0 - 1.0) - 1.0)
-        touch_at(touch, bpy.context, cast(x, 0.0), force_n, time.perf_counter())
+        touch_at(touch, bpy.context, cast(x, 0.0), force_n, time.perf_counter(), StillTrue())
         link.tick()
         if link.newest is not None:
             told.append(link.newest.status)
