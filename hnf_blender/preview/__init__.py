@@ -152,6 +152,7 @@ def _look(context: Any, heard: set[str], ended: bool, *, is_first: bool) -> None
         looked.waiting[:] = [obj.name for obj in others if obj != active]
         if active is not None:
             current.refresh(active, context, wait=False)
+            current.look_behind(active, scene)
     until = time.monotonic() + BUDGET_S
     while looked.waiting and time.monotonic() < until:
         other = scene.objects.get(looked.waiting.pop(0))

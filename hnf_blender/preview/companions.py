@@ -13,6 +13,8 @@ NAME_PROPERTY = "hnf_stroke_name"
 ID_PROPERTY = "hnf_stroke_id"
 """On strips and speakers: the stroke they sound like, so that adding again replaces. The second is on the stroke too,
 and a duplicate takes it along."""
+STAMP_PROPERTY = "hnf_stroke_stamp"
+"""On strips and speakers: of the signal they were given (present.Present)."""
 
 
 def companions(stroke: Any, scene: Any, candidates: Iterable[Any]) -> list[Any]:
@@ -30,9 +32,21 @@ def companions(stroke: Any, scene: Any, candidates: Iterable[Any]) -> list[Any]:
     return [each for each in candidates if is_of(each)]
 
 
-def mark(companion: Any, stroke: Any, scene: Any) -> None:
-    """Let companions() find it, for a stroke that is not linked whatever its name will be."""
-    companion[NAME_PROPERTY] = stroke.name
+def behind(stroke: Any, scene: Any, stamp: str) -> list[str]:
+    """Names of the stroke's strips and speakers that were given another signal than that of stamp."""
+    import bpy
+
+    from ..compat import sequencer_strips
+
+    strips = [] if scene.sequence_editor is None else sequencer_strips(scene.sequence_editor)
+    speakers = [each for each in scene.objects if each.type == "SPEAKER"] if bpy.data.speakers else []
+    marked = [each for each in (*strips, *speakers) if each.get(STAMP_PROPERTY, stamp) != stamp]
+    return [str(each.name) for each in companions(stroke, scene, marked)]
+
+
+def mark(companion: Any, stroke: Any, scene: Any, stamp: str) -> None:
+    """Let companions() find it, for a stroke that is not linked whatever its name will be. stamp: of its signal."""
+    companion[NAME_PROPERTY], companion[STAMP_PROPERTY] = stroke.name, stamp
     if stroke.library is not None:
         return
     identity = kept(stroke, ID_PROPERTY)

@@ -161,7 +161,7 @@ def tell(name: str, scene: Any) -> PreviewFacts:
         levels = levels_against(shown, profile)
         facts = PreviewFacts(
             name, shown.signal.duration_s, levels.peak, levels.rms, levels.headroom_db, shown.confidence,
-            lines=tuple(words(shown, profile, scene.hnf.monitor_gain_db)), **common,  # type: ignore[arg-type]
+            lines=(*words(shown, profile, scene.hnf.monitor_gain_db), *behind_words(name)), **common,  # type: ignore[arg-type]
         )  # fmt: skip
     PREVIEW.facts[name] = facts
     return facts
@@ -195,6 +195,19 @@ def words(shown: Heard, profile: ActuatorProfile, gain_db: float) -> list[str]:
     said = tr("The preview clips by {over} dB: lower the monitor gain. The signal is not clipped")
     loud = [said.format(over=f"{clipped:.1f}")] if clipped else []
     return [*lines, *outside, *loud, *shown.warnings]
+
+
+def look_behind(obj: Any, scene: Any) -> None:
+    """Keep the names of the stroke's strips and speakers that sound as it was."""
+    from .companions import behind
+
+    asked = PREVIEW.asked.get(obj.name)
+    PREVIEW.behind[obj.name] = [] if asked is None else behind(obj, scene, asked[0])
+
+
+def behind_words(name: str) -> list[str]:
+    said = tr("'{name}' sounds as before the last change: add it again (Export)")
+    return [said.format(name=each) for each in PREVIEW.behind.get(name, ())]
 
 
 def levels_against(shown: Heard, profile: ActuatorProfile) -> Levels:

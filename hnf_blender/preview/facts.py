@@ -29,7 +29,8 @@ class PreviewFacts(NamedTuple):
 
 class PreviewState:
     """All by stroke name. heard: the newest signal. kept: A of the comparison. on_kept: strokes of which A is heard.
-    asked: stamp of the newest request. problems: why there is no true signal. facts, icons: what panels show.
+    asked: stamp and look of the newest request. behind: strips and speakers that sound as the stroke did before.
+    problems: why there is no true signal. facts, icons: what panels show.
     play_when_ready: stroke to be played when its signal is there. sounding: stroke that plays, "" = none or the
     timeline. exported: a sentence for each file of the last export, what it cost; losses: the whole report."""
 
@@ -37,7 +38,8 @@ class PreviewState:
         self.heard: dict[str, Heard] = {}
         self.kept: dict[str, Heard] = {}
         self.on_kept: set[str] = set()
-        self.asked: dict[str, object] = {}
+        self.asked: dict[str, tuple[str, object]] = {}
+        self.behind: dict[str, list[str]] = {}
         self.problems: dict[str, str] = {}
         self.facts: dict[str, PreviewFacts] = {}
         self.icons: dict[str, int] = {}
@@ -51,16 +53,21 @@ class PreviewState:
         """What is heard and seen of a stroke: A, or the newest."""
         return self.kept.get(name) if name in self.on_kept else self.heard.get(name)
 
+    @property
+    def _by_name(self) -> tuple[dict[str, Any], ...]:
+        return self.heard, self.kept, self.asked, self.behind, self.problems, self.facts, self.icons
+
     def keep_only(self, names: set[str]) -> None:
         """Forget strokes that are no more, or are called otherwise now."""
         self.on_kept &= names
-        for each in (self.heard, self.kept, self.asked, self.problems, self.facts, self.icons):
+        for each in self._by_name:
             for name in each.keys() - names:
                 del each[name]
 
     def clear(self) -> None:
         """Another file is open."""
-        for each in (self.heard, self.kept, self.on_kept, self.asked, self.problems, self.facts, self.icons):
+        self.on_kept.clear()
+        for each in self._by_name:
             each.clear()
         self.play_when_ready = self.sounding = self.losses = ""
         self.exported = ()

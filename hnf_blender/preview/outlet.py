@@ -53,6 +53,15 @@ def true_signal(obj: Any, context: Any) -> Signal:
     return hear(now, Look(), Kept()).signal
 
 
+def _belongs(companion: Any, obj: Any, scene: Any) -> None:
+    from .current import look_behind
+    from .present import present
+
+    now = present(obj, scene)
+    mark(companion, obj, scene, "" if now is None else now.stamp)
+    look_behind(obj, scene)
+
+
 def export_folder(scene: Any) -> Path:
     """Where Scene.hnf says. Raises FileError where it is beside a file that is not saved yet."""
     import bpy
@@ -143,7 +152,7 @@ def add_strip(obj: Any, context: Any) -> Any:
     for each in earlier:
         strips.remove(each)
     strip.channel, strip.name = channel, obj.name
-    mark(strip, obj, scene)
+    _belongs(strip, obj, scene)
     strip.volume = monitor_factor(scene.hnf.monitor_gain_db)
     show_in_sequencer(getattr(context, "workspace", None), scene)
     return strip
@@ -175,6 +184,6 @@ def add_speaker_of(obj: Any, context: Any) -> Any:
             bpy.data.speakers.remove(data)
     surface = scene.objects.get(STATE.strokes[obj.name].object_name)
     speaker = add_speaker(sound, f"{obj.name} speaker", tuple(place), float(obj.hnf_stroke.start), surface)
-    mark(speaker, obj, scene)
+    _belongs(speaker, obj, scene)
     speaker.data.volume = min(monitor_factor(scene.hnf.monitor_gain_db), 1.0)
     return speaker

@@ -1,8 +1,12 @@
 """One stroke of ten seconds, synthesised in every way there is: how fast, how much memory, and how far from the model
-taken literally (F_Θ and every carrier at each of 10,000 samples a second, in float64)."""
+taken literally (F_Θ and every carrier at each of 10,000 samples a second, in float64).
+
+Methods are timed in turn, round by round, so that a machine whose pace changes is as fast for each of them.
+"""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,6 +25,7 @@ from ..field.synthesis import contact_term, prepare, rendered
 from ..field.weights import load_field
 from ..material.library import find
 from .frame import Options, Row, Times, peak_mb
+from .synth_ar import autoregressive
 from .synth_table import Grid, read_table, tabulate
 
 Float = NDArray[np.float64]
@@ -33,16 +38,20 @@ WINDOWS, QUICK_WINDOWS, WINDOW = 20, 2, 500
 """Stretches all over the stroke in which errors are measured, and their samples."""
 TOLERANCES_DB = (-30.0, -40.0, -50.0)
 SEED = 11
+AS_IN_SCENES = "every state"
+"""What the others' times are told in."""
 
 
 @dataclass(frozen=True)
 class Method:
-    """name: in the table. render: whole signal (count,) m/s². cold: with carriers that nobody has met before."""
+    """name: in the table. render: whole signal (count,) m/s². cold: with carriers that nobody has met before.
+    ours: it is meant to be the reference's signal, so that it has an error."""
 
     name: str
     render: Callable[[Field, StrokeInput, int], Float]
     cold: bool = True
     note: str = ""
+    ours: bool = True
 
 
 def rows(options: Options) -> list[Row]:
@@ -60,32 +69,52 @@ def rows(options: Options) -> list[Row]:
     per_second = MODEL_RATE_HZ / WINDOW
     pace = 1.0 / (literal.seconds.median * per_second)
     reference = Row(
-        NAME, "literal, float64", realtime_factor=pace, note=f"the reference, in {len(starts)} windows of 50 ms",
+        NAME, "literal, float64", error_unit="dB", realtime_factor=pace,
+        note=f"the reference, in {len(starts)} windows of 50 ms",
         peak_mb=peak_mb(partial(synthesise_reference, exact, stroke, seed=SEED, start=0, count=WINDOW)),
     )  # fmt: skip
-    found = [reference]
-    for method in _methods(field, stroke):
-        options.watch(f"{NAME}: {method.name}")
-        found.append(_measured(method, field, stroke, starts, wanted, options.repeats))
-    return found
+    methods, errors = _methods(field, stroke), []
+    for method in methods:  # first, so that libraries have their plans before anything is timed
+        options.watch(f"{NAME}: {method.name}, error")
+        errors.append(_error_db(method.render(field, stroke, SEED), starts, wanted) if method.ours else None)
+    times = _in_turn(methods, field, stroke, options)
+    return [reference, *(_row(*each, times, field, stroke) for each in zip(methods, errors, strict=True))]
 
 
-def _measured(
-    method: Method, field: Field, stroke: StrokeInput, starts: list[int], wanted: list[Float], repeats: int
-) -> Row:
-    times, samples = Times(), method.render(field, stroke, SEED)
-    for repeat in range(repeats):
-        if method.cold:
-            forget_carriers()
-        times.take(partial(method.render, field, stroke, SEED + (repeat + 1) * method.cold))
+def _error_db(samples: Float, starts: list[int], wanted: list[Float]) -> float:
     missed = np.concatenate([samples[at : at + WINDOW] - exact for at, exact in zip(starts, wanted, strict=True)])
     power = np.mean(np.square(np.concatenate(wanted)))
-    seconds = len(samples) / MODEL_RATE_HZ
-    return Row(
-        NAME, method.name, times.seconds, times.cpu, error=float(10.0 * np.log10(np.mean(np.square(missed)) / power)),
-        error_unit="dB", peak_mb=peak_mb(partial(method.render, field, stroke, SEED)), note=method.note,
-        realtime_factor=seconds / times.seconds.median,
+    return float(10.0 * np.log10(np.mean(np.square(missed)) / power))
+
+
+def _in_turn(methods: list[Method], field: Field, stroke: StrokeInput, options: Options) -> dict[str, Times]:
+    """Times of each method by its name, one of each in every round; of all threads, since F_Θ has some of its own."""
+    times = {method.name: Times(time.process_time) for method in methods}
+    for number in range(1, options.repeats + 1):
+        options.watch(f"{NAME}: round {number} of {options.repeats}")
+        for method in methods:
+            _make_ready(method, field, stroke)
+            times[method.name].take(partial(method.render, field, stroke, SEED + number * method.cold))
+    return times
+
+
+def _make_ready(method: Method, field: Field, stroke: StrokeInput) -> None:
+    """Of what methods before it kept, nothing is left; what it keeps itself is there."""
+    forget_carriers()
+    if not method.cold:
+        method.render(field, stroke, SEED)
+
+
+def _row(method: Method, error: float | None, times: dict[str, Times], field: Field, stroke: StrokeInput) -> Row:
+    taken, seconds = times[method.name], (len(stroke.action.speed) - 1) / ACTION_RATE_HZ
+    _make_ready(method, field, stroke)
+    row = Row(
+        NAME, method.name, taken.seconds, taken.cpu, error=error, error_unit="dB", note=method.note,
+        peak_mb=peak_mb(partial(method.render, field, stroke, SEED)), realtime_factor=seconds / taken.seconds.median,
     )  # fmt: skip
+    if method.name == AS_IN_SCENES:
+        return row
+    return replace(row, ratio=taken.ratio(times[AS_IN_SCENES]), ratio_to=AS_IN_SCENES)
 
 
 def _methods(field: Field, stroke: StrokeInput) -> list[Method]:
@@ -105,15 +134,18 @@ def _methods(field: Field, stroke: StrokeInput) -> list[Method]:
         read = lambda _, condition: read_table(table, field, condition)  # noqa: E731
         return rendered(prepare(field, stroke, seed=seed, tolerance=0.01, emission=read))
 
-    ways = [
+    def rival(_: Field, stroke: StrokeInput, seed: int) -> Float:
+        return autoregressive(stroke.action, seed)
+
+    return [
         Method("every 0.5 ms", partial(within, float("-inf")), note="F_Θ 2000 times a second"),
         Method("every state, plain carriers", plain, note="200 times a second, carriers band by band in float64"),
-        Method("every state", partial(within, None), note="200 times a second; what scenes and previews use"),
+        Method(AS_IN_SCENES, partial(within, None), note="200 times a second; what scenes and previews use"),
         *(Method(f"within {db:g} dB", partial(within, db), note="F_Θ where the action asks") for db in TOLERANCES_DB),
         Method("within -40 dB, carriers kept", partial(within, -40.0), cold=False, note="the same stroke once more"),
         Method("from a table, carriers kept", tabled, cold=False, note=f"{table.megabytes:.0f} MB for one material"),
+        Method("piecewise AR (HaTT), a loop in numpy", rival, note="another model: time only", ours=False),
     ]
-    return ways
 
 
 def forget_carriers() -> None:

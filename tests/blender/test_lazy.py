@@ -40,21 +40,29 @@ def read(monkeypatch):
     return names
 
 
-def in_hidden_collection(obj) -> None:
-    """As an artist hides a whole collection from the view layer."""
+HIDDEN = {
+    "excluded": lambda layer: setattr(layer, "exclude", True),
+    "its eye closed": lambda layer: setattr(layer, "hide_viewport", True),
+    "disabled in viewports": lambda layer: setattr(layer.collection, "hide_viewport", True),
+    "its objects disabled in renders": lambda layer: setattr(layer.collection.objects[0], "hide_render", True),
+}
+"""What an artist clicks beside the name of a collection, or of what is in it."""
+
+
+def in_hidden_collection(obj, way: str) -> None:
     collection = bpy.data.collections.new("Hidden")
     bpy.context.scene.collection.children.link(collection)
     bpy.context.scene.collection.objects.unlink(obj)
     collection.objects.link(obj)
-    bpy.context.view_layer.layer_collection.children["Hidden"].exclude = True
+    HIDDEN[way](bpy.context.view_layer.layer_collection.children["Hidden"])
 
 
-@pytest.mark.parametrize("named", [True, False])
-def test_no_mesh_is_read_but_that_under_the_stroke(tmp_path, read, named) -> None:
+@pytest.mark.parametrize(("named", "way"), [(True, "excluded"), *((False, way) for way in HIDDEN)])
+def test_no_mesh_is_read_but_that_under_the_stroke(tmp_path, read, named, way) -> None:
     """Also where the stroke does not say what it touches: the others' boxes are too far. A hidden collection lies right
     under it, and a muted stroke on another object."""
     plate, other = ridge_plate(), add_plane("Other", 0.1, z=0.3)
-    in_hidden_collection(add_plane("Under it", 0.1))
+    in_hidden_collection(add_plane("Under it", 0.1), way)
     line_stroke("Along", length=SHORT_M, **({"surface": plate} if named else {}))
     line_stroke("Quiet", centre=(0.0, 0.0, 0.3), surface=other, mute=True)
     cost = bake_open_file(tmp_path)

@@ -8,6 +8,7 @@ import bpy
 from job_scene import small_scene
 from touch_scene import save_scene, set_keys, touch
 
+from hnf_blender.preview import current
 from hnf_blender.preview.companions import ID_PROPERTY, companions, mark
 from hnf_blender.preview.facts import PREVIEW
 from hnf_blender.state.session import STATE, Freshness
@@ -55,11 +56,32 @@ def test_a_strip_is_found_again_by_its_stroke_whatever_both_are_called() -> None
     strips = [bpy.data.objects.new(f"strip {k}", None) for k in range(2)]  # what has properties can be marked
     strips[1]["hnf_stroke_name"] = "Along"
     assert companions(own, scene, strips) == [strips[1]]
-    mark(strips[0], own, scene)
+    mark(strips[0], own, scene, "one")
     twin = own.copy()
     scene.collection.objects.link(twin)
     assert (companions(own, scene, strips[:1]), companions(twin, scene, strips[:1])) == (strips[:1], [])
-    mark(strips[1], twin, scene)
+    mark(strips[1], twin, scene, "other")
     own.name, twin.name = "Renamed", "Along"
     assert twin[ID_PROPERTY] != own[ID_PROPERTY]
     assert (companions(own, scene, strips), companions(twin, scene, strips)) == (strips[:1], strips[1:])
+
+
+def test_a_speaker_that_sounds_as_the_stroke_did_before_is_told(warm_bake) -> None:
+    PREVIEW.clear()
+    small_scene()
+    scene, stroke = bpy.context.scene, bpy.data.objects["Along"]
+    assert bpy.ops.hnf.bake() == {"FINISHED"}
+    bpy.context.view_layer.objects.active = stroke
+    assert bpy.ops.hnf.add_speaker() == {"FINISHED"}
+
+    def told() -> list[str]:
+        current.refresh(stroke, bpy.context, wait=True)
+        current.look_behind(stroke, scene)
+        return [line for line in current.tell("Along", scene).lines if "before the last change" in line]
+
+    assert told() == []
+    set_keys(stroke, "force", (3.0, 2.7))
+    assert [line.partition(" sounds")[0] for line in told()] == ["'Along speaker'"]
+    bpy.context.view_layer.objects.active = stroke
+    assert bpy.ops.hnf.add_speaker() == {"FINISHED"}
+    assert PREVIEW.behind["Along"] == told() == []

@@ -6,11 +6,15 @@ import json
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
+from hnf_core.bench import synth
 from hnf_core.bench.catalogue import BENCHES
 from hnf_core.bench.frame import Bench, Options, Row, Spread, Times, peak_mb
 from hnf_core.bench.machine import machine
+from hnf_core.bench.synth import ten_seconds
+from hnf_core.bench.synth_ar import autoregressive, made_up_texture
 from hnf_core.bench.table import duration, markdown
 from hnf_core.cli.main import build_parser, main
 
@@ -79,6 +83,9 @@ def test_what_is_timed_gives_its_result_and_what_is_held_is_counted():
     others.take(lambda: sum(range(10_000)))
     assert (times.seconds.count, times.cpu.count, times.ratio(others).count) == (2, 2, 2)
     assert 0.0 < times.cpu.lowest <= times.seconds.highest
+    told = Times(iter([1.0, 4.0]).__next__)
+    told.take(lambda: None)
+    assert told.cpu.median == 3.0
     noted = Times()
     noted.note(2.0)
     assert (noted.seconds.median, noted.cpu) == (2.0, None)
@@ -158,12 +165,57 @@ def test_without_the_benches_as_in_the_extension_it_says_where_they_are():
 def test_synthesis_has_a_row_for_every_way_and_an_error_beside_each(capsys):
     assert hnf("synth", "--quick", "--repeats", "1", "--json") == 0
     rows = json.loads(capsys.readouterr().out)
-    assert rows[0]["method"] == "literal, float64"
-    assert all({"method", "realtime_factor", "peak_mb"} <= set(row) for row in rows)
-    assert all(row["realtime_factor"] > 0.0 and row["error_db"] < 0.0 for row in rows[1:])
-    errors = {row["method"]: row["error_db"] for row in rows[1:]}
+    reference, *ours, rival = rows
+    assert all({"method", "realtime_factor", "peak_mb", "error_db"} <= set(row) for row in rows)
+    assert (reference["method"], reference["error_db"], reference["ratio"]) == ("literal, float64", None, None)
+    assert (rival["error_db"], rival["note"]) == (None, "another model: time only")
+    assert all(row["realtime_factor"] > 0.0 for row in rows)
+    errors = {row["method"]: row["error_db"] for row in ours}
+    assert all(error < 0.0 for error in errors.values())
     assert errors["within -40 dB"] < -40.0 < -30.0 < errors["from a table, carriers kept"]
     assert errors["every state"] == pytest.approx(errors["every state, plain carriers"], abs=0.5)
+    compared = [row for row in rows if row["ratio_to"]]
+    assert compared == [row for row in rows[1:] if row["method"] != "every state"]
+    assert {row["ratio_to"] for row in compared} == {"every state"}
+    assert all(row["ratio"] > 0.0 for row in compared)
+
+
+def test_ways_of_synthesis_take_turns_and_those_that_keep_carriers_find_their_own(monkeypatch):
+    """Three rounds of a cold and a warm one; forgetting is in no one's time, nor is what fills what is kept."""
+    said, clock = [], iter(range(1000))
+
+    def method(name: str, cold: bool) -> synth.Method:
+        return synth.Method(name, lambda field, stroke, seed: said.append((name, seed)), cold)
+
+    class Noted(Times):
+        def take(self, function):
+            said.append("timed")
+            return super().take(function)
+
+    monkeypatch.setattr(synth, "forget_carriers", lambda: said.append("forgotten"))
+    monkeypatch.setattr(synth, "Times", lambda _: Noted(lambda: float(next(clock))))
+    times = synth._in_turn([method("cold", True), method("kept", False)], None, None, Options(repeats=3))
+    kept = ("kept", synth.SEED)
+    assert said == [
+        each
+        for number in (1, 2, 3)
+        for each in ("forgotten", "timed", ("cold", synth.SEED + number), "forgotten", kept, "timed", kept)
+    ]
+    assert times["kept"].ratio(times["cold"]) == Spread(1.0, 1.0, 1.0, 1.0, 3)
+
+
+def test_the_texture_of_the_rivals_loop_is_one_of_its_own_kind():
+    """Stable filters, triangles that fill the plane, silence on the axes, and the same draw for the same seed."""
+    model, action = made_up_texture(), ten_seconds(1.0).action
+    corner = np.stack([model.speeds / model.max_speed, model.forces / model.max_force], axis=1)[model.triangles]
+    sides = corner[:, 1:] - corner[:, :1]
+    assert 0.5 * np.abs(np.linalg.det(sides)).sum() == pytest.approx(1.0)
+    assert np.all(np.diff(model.ar_lsf, axis=1, prepend=0.0, append=np.pi) > 0.0)
+    assert not model.variances[model.speeds * model.forces == 0.0].any()
+    samples = autoregressive(action, 1)
+    assert samples.shape == (10_000,)
+    assert np.std(samples) > 1e-3
+    np.testing.assert_array_equal(samples, autoregressive(action, 1))
 
 
 def test_maps_have_an_error_beside_narrower_numbers(capsys):

@@ -1,4 +1,4 @@
-"""OpenBLAS's threads are held to one while views run in threads of our own, and given back."""
+"""OpenBLAS's threads are held to one while work runs in threads of our own, and given back; bytes follow neither."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import pytest
 
 from hnf_core.bench.synth import forget_carriers, ten_seconds
 from hnf_core.blas import one_blas_thread, openblas_threads
+from hnf_core.field import network
+from hnf_core.field.field import FieldConfig, initial_parameters
 from hnf_core.field.synthesis import synthesise
 from hnf_core.field.weights import load_field
 
@@ -73,3 +75,40 @@ def test_a_stroke_has_the_same_bytes_on_any_number_of_threads(threads):
         found.append(synthesise(load_field(), stroke, seed=4).signal.samples)
     assert np.ptp(found[0]) > 0.1
     np.testing.assert_array_equal(*found)
+
+
+@pytest.mark.parametrize("portions", [2.0, 4.0, 7.5])
+def test_states_through_a_pool_have_the_bytes_of_portions_one_after_the_other(monkeypatch, portions):
+    """Two portions wait for each other, so that the pool cannot pass with one thread at work."""
+    config, random = FieldConfig(hidden=256, layers=3), np.random.default_rng(5)
+    parameters = {
+        name: value + 0.1 * random.standard_normal(value.shape).astype(np.float32)
+        for name, value in initial_parameters(config, 0).items()
+    }
+    width = parameters["layer0.weight"].shape[1]
+    size, through = network.PORTION, network._through
+    x = random.standard_normal((round(portions * size), width)).astype(np.float32)
+    worked, meeting = [], threading.Barrier(2)
+
+    def noted(*given):
+        worked.append((threading.get_ident(), len(given[-1])))
+        if len(worked) <= 2:
+            meeting.wait(10.0)
+        return through(*given)
+
+    monkeypatch.setattr(network, "WORTH_THREADS", 0)
+    monkeypatch.setattr(network.os, "cpu_count", lambda: 2)
+    with monkeypatch.context() as patch:
+        patch.setattr(network, "_through", noted)
+        pooled = network.heads(parameters, config.layers, x)
+    assert len({thread for thread, _ in worked} - {threading.get_ident()}) == 2
+    assert [count for _, count in worked].count(size) == int(portions)
+    assert sum(count for _, count in worked) == len(x)
+
+    with one_blas_thread():
+        rows = [through(parameters, config.layers, x[low : low + size]) for low in range(0, len(x), size)]
+    monkeypatch.setattr(network, "WORTH_THREADS", 1 << 60)
+    plainly = network.heads(parameters, config.layers, x)
+    for head, (found, alone) in enumerate(zip(pooled, plainly, strict=True)):
+        assert np.ptp(found) > 0.1
+        assert found.tobytes() == alone.tobytes() == np.concatenate([row[head] for row in rows]).tobytes()
