@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,28 @@ REACH_M = 0.25
 
 def is_visible(obj: Any, view_layer: Any) -> bool:
     """Shown in this view layer and in renders."""
-    return not obj.hide_render and bool(obj.visible_get(view_layer=view_layer))
+    return bool(obj.visible_get(view_layer=view_layer)) and is_rendered(obj, view_layer)
+
+
+def is_rendered(obj: Any, view_layer: Any) -> bool:
+    """Neither it is disabled in renders, nor every collection that it is in, by itself or by one around it."""
+    import bpy
+
+    if obj.hide_render:
+        return False
+    disabled = np.zeros(len(bpy.data.collections), dtype=bool)
+    bpy.data.collections.foreach_get("hide_render", disabled)
+    return not disabled.any() or any(obj in each.objects.values() for each in _rendered(view_layer.layer_collection))
+
+
+def _rendered(layer: Any) -> Iterator[Any]:
+    """The collections of a tree that are rendered."""
+    if layer.collection.hide_render:
+        return
+    if not layer.exclude:
+        yield layer.collection
+    for child in layer.children:
+        yield from _rendered(child)
 
 
 def world_box(obj: Any, depsgraph: Any, metres_per_unit: float = 1.0) -> tuple[Float, Float]:

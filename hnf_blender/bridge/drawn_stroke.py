@@ -13,6 +13,7 @@ from hnf_core.action.pen_stroke import PenSamples, PenStroke, PenStyle, pen_stro
 from hnf_core.errors import SceneError
 from hnf_core.units import m_to_mm
 
+from .boxes import is_rendered
 from .new_stroke import bezier_object, insert_keys, lay_on
 from .splat_cloud import is_cloud
 
@@ -117,11 +118,11 @@ def new_drawn_stroke(
     pen_stroke). Raises StrokeError for what is no stroke and SceneError for a surface that no stroke can touch;
     then nothing is made.
     """
-    if surface.hide_render:
+    if not is_rendered(surface, depsgraph.view_layer):
         raise SceneError(
             "it is hidden in renders, and what is touched is rendered.",
             where=f"object '{surface.name}'",
-            remedy="Show it in renders (camera icon in the Outliner).",
+            remedy="Show it and its collection in renders (camera icons in the Outliner).",
         )
     evaluated = surface.evaluated_get(depsgraph)
     to_world = np.array(evaluated.matrix_world, dtype=np.float64)

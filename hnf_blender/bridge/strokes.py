@@ -32,6 +32,7 @@ from hnf_core.units import mm_to_m, seconds_to_frame
 
 from ..props.scene import place_in
 from ..props.stroke import FORCE_MAX_N
+from .boxes import is_visible
 from .channels import Channel, read_channel, sample_channels
 from .meshes import Surface, evaluated_mesh, surface_frame, surface_mesh
 from .nearest_surface import nearest_surface
@@ -191,7 +192,7 @@ def _surface_object(
         raise SceneError(
             f"it is not in this scene, and {where} touches it.", where=f"object '{chosen.name}'", remedy=remedy
         )
-    if chosen.hide_render or not chosen.visible_get(view_layer=depsgraph.view_layer):
+    if not is_visible(chosen, depsgraph.view_layer):
         raise SceneError(f"it is hidden, and {where} touches it.", where=f"object '{chosen.name}'", remedy=remedy)
     return chosen
 

@@ -44,6 +44,7 @@ HIDDEN = {
     "excluded": lambda layer: setattr(layer, "exclude", True),
     "its eye closed": lambda layer: setattr(layer, "hide_viewport", True),
     "disabled in viewports": lambda layer: setattr(layer.collection, "hide_viewport", True),
+    "disabled in renders": lambda layer: setattr(layer.collection, "hide_render", True),
     "its objects disabled in renders": lambda layer: setattr(layer.collection.objects[0], "hide_render", True),
 }
 """What an artist clicks beside the name of a collection, or of what is in it."""
