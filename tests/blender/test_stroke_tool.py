@@ -251,6 +251,7 @@ class Desk:
         self.context = Plain(
             scene=bpy.context.scene,
             mode="OBJECT",
+            view_layer=bpy.context.view_layer,
             evaluated_depsgraph_get=bpy.context.evaluated_depsgraph_get,
             window=Plain(screen=screen),
             window_manager=Plain(windows=[Plain(screen=screen)]),
