@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from hnf_core.errors import MaterialError
 from hnf_core.field.field import Field
 from hnf_core.field.learned import field_of
@@ -91,11 +93,13 @@ def ranked_materials(touched: TouchedObject, slot: int, records: Sequence[PatchR
 
 
 def relief_of(records: Sequence[PatchRecord]) -> tuple[Token | None, Route]:
-    """What the patches show of a slot's relief together: of those by the surest route that any of them has."""
+    """What the patches show of a slot's relief together, by the area that each shows: of those by the surest route that
+    any of them has."""
     for route in (Route.MEASURED, Route.PREDICTED):
-        tokens = [token for record in records if record.route is route and (token := token_of(record)) is not None]
-        if tokens:
-            return merge(tokens), route
+        seen = [(token, each) for each in records if each.route is route and (token := token_of(each)) is not None]
+        if seen:
+            sizes = [max(np.count_nonzero(each.mask), 1) * each.metres_per_pixel**2 for _, each in seen]
+            return merge([token for token, _ in seen], sizes), route
     return None, Route.PRIOR
 
 

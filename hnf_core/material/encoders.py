@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import UsageError
 from ..files import content_hash
 from ..tactile.tactile_map import Route, TactileMap
@@ -67,9 +69,10 @@ def default_encoder(route: Route, known: Sequence[str] = (ENCODER_ID,)) -> Encod
 
 
 def describe_with(encoder: Encoder, maps: Sequence[TactileMap]) -> Token:
-    """One token of a patch from its tactile map, or from several views of it (merged band by band, by their area).
+    """One token of a patch from its tactile map, or from several views of it (merged band by band, by the area that
+    each shows).
 
     Raises MaterialError where there is no map.
     """
-    sizes = [each.mask.size * each.metres_per_pixel**2 for each in maps]
+    sizes = [max(np.count_nonzero(each.mask), 1) * each.metres_per_pixel**2 for each in maps]
     return merge([encoder.describe(each) for each in maps], sizes)

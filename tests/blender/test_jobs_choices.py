@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import bpy
+import numpy as np
 import pytest
 from job_scene import PLATE, kept, small_scene
 from touch_scene import save_scene, touch
 
 from hnf_blender.preview.stroke_bake import load_bake
 from hnf_blender.state.session import STATE, Freshness
+from hnf_blender.touch.choose import relief_of
+from hnf_blender.touch.store import PatchRecord
+from hnf_core.material.library import load_library
+from hnf_core.material.material import Appearance
+from hnf_core.material.merge import merge
+from hnf_core.material.token import Token
+from hnf_core.tactile.tactile_map import Route
 
 
 @pytest.fixture(autouse=True)
@@ -67,3 +75,20 @@ def test_an_unknown_name_on_a_slot_that_is_not_touched_costs_nothing() -> None:
     plate.data.materials.append(other)
     assert bpy.ops.hnf.bake() == {"FINISHED"}
     assert list(kept()["bakes"]) == ["Along"]
+
+
+def test_a_patch_speaks_for_its_slot_by_what_of_it_is_seen() -> None:
+    first, second = (material.token for material in load_library()[:2])
+
+    def record(token, seen: int) -> PatchRecord:
+        mask = np.zeros((8, 8), dtype=bool)
+        mask[:, :seen] = True
+        flat, faces = np.zeros((8, 8), np.float32), np.zeros(0, np.int32)
+        known = np.ones(len(token), dtype=bool)
+        return PatchRecord(flat, mask, 1e-4, 2e-4, "", 0.0, token, known, Appearance(), faces, ())
+
+    token, route = relief_of([record(first, 8), record(second, 2)])
+    tokens = [Token(each, np.ones(len(each), dtype=bool)) for each in (first, second)]
+    assert route is Route.MEASURED
+    assert np.array_equal(token.values, merge(tokens, [4.0, 1.0]).values)
+    assert not np.array_equal(token.values, merge(tokens).values)

@@ -21,6 +21,7 @@ from hnf_core.material.encoders import (
     describe_with,
     encoder_by_name,
 )
+from hnf_core.material.merge import merge
 from hnf_core.material.token import ALEXNET_ID, ENCODER_ID, ENCODER_NAMES, LEVELS, TOKEN_DIM, band_slice
 from hnf_core.tactile.height import tactile_map_from_height
 from hnf_core.tactile.tactile_map import Route, TactileMap
@@ -204,3 +205,14 @@ def test_every_route_with_a_map_has_a_make_that_the_field_knows():
     with pytest.raises(UsageError, match="among other-9"):
         default_encoder(Route.MEASURED, ("other-9",))
     assert encoder_by_name(ENCODER_ID).describe is describe
+
+
+def test_a_view_counts_as_much_as_it_shows():
+    """Half a view counts half: its token merges as one of two thirds and one of one third of the area."""
+    half = np.ones((64, 64), dtype=bool)
+    half[:, 32:] = False
+    whole, part = tactile(rough(5, 64), PITCH), tactile(0.1 * rough(5, 64), PITCH, half)
+    encoder = encoder_by_name(ENCODER_ID)
+    tokens = [describe(whole), describe(part)]
+    assert np.array_equal(describe_with(encoder, [whole, part]).values, merge(tokens, [2.0, 1.0]).values)
+    assert not np.array_equal(merge(tokens, [2.0, 1.0]).values, merge(tokens).values)
