@@ -104,6 +104,16 @@ def draw_material(layout: Any, context: Any, material: Any) -> None:
     row.operator("hnf.import_material", text="File…", icon="FILE_FOLDER")
 
 
+def alike(bakes: list[tuple[str, StrokeStatus]]) -> list[tuple[list[str], StrokeStatus]]:
+    """Names of the strokes that were baked with one material by the same routes, and a status of theirs; the order is
+    that of the first of each."""
+    found: dict[tuple[object, ...], tuple[list[str], StrokeStatus]] = {}
+    for name, status in bakes:
+        told = status.library_material, status.confidence, status.routes
+        found.setdefault(told, ([], status))[0].append(name)
+    return list(found.values())
+
+
 class HNF_PT_as_baked(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801
     bl_label = "As Baked"
     bl_parent_id = "HNF_PT_materials"
@@ -117,9 +127,9 @@ class HNF_PT_as_baked(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noq
     def draw(self, context: Any) -> None:
         obj = felt_object(context)
         bakes = bakes_on(obj.name)
-        for name, status in bakes[:MOST_BAKES]:
+        for names, status in alike(bakes[:MOST_BAKES]):
             column = self.layout.column(align=True)
-            column.label(text=named(context, name), icon="CURVE_DATA", translate=False)
+            paragraph(column, context, ", ".join(named(context, name) for name in names), icon="CURVE_DATA")
             felt = f"{spoken(status.library_material)}, {sure_text(status.confidence)}"
             paragraph(column, context, felt, icon="BLANK1")
             for line in routes_lines(status.routes):

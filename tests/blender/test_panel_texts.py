@@ -6,6 +6,7 @@ import pytest
 
 from hnf_blender.state.session import Freshness, StrokeStatus
 from hnf_blender.ui import texts
+from hnf_blender.ui.materials_panel import alike
 
 LONG = "A stroke along the very long seam of the left armrest"
 
@@ -92,3 +93,9 @@ def test_what_the_strokes_are_is_counted() -> None:
     assert texts.counts_text([StrokeStatus(each) for each in states]) == "2 up to date, 1 to bake, 1 broken"
     assert texts.counts_text([None]) == "1 not looked at"
     assert texts.counts_text([]) == ""
+
+
+def test_strokes_that_were_baked_alike_are_told_together() -> None:
+    cork, oak = (StrokeStatus(Freshness.FRESH, library_material=name, confidence=0.4) for name in ("cork", "oak-wood"))
+    told = alike([("A", cork), ("B", oak), ("C", cork._replace(freshness=Freshness.STALE, why="moved"))])
+    assert [(names, status.library_material) for names, status in told] == [(["A", "C"], "cork"), (["B"], "oak-wood")]

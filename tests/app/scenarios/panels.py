@@ -4,7 +4,8 @@ from pathlib import Path
 
 import bpy
 from drive import scenery
-from drive.addon import baked, heard, kept, state, strokes
+from drive.addon import baked, heard, kept, ours, state, strokes
+from drive.tab import all_open
 
 SCREEN = "1280x1900"
 SMOOTH = "no"  # nobody looks at how its 3-D view is drawn
@@ -17,6 +18,23 @@ def whole(stage):
     yield from stage.widen_sidebar(340)
 
 
+def settled(stage, name):
+    """A panel that grew pushes those below it away step by step, and takes a step only when it is drawn: twice."""
+    yield from stage.picture(name, settle=1.0)
+    yield from stage.picture(name, settle=1.0)
+
+
+def pages(stage, name, count):
+    """NAME-1.png, NAME-2.png…: the whole sidebar from the top, a page each; the last one ends where it ends."""
+    for page in range(1, count + 1):
+        yield from settled(stage, f"{name}-{page}")
+        with stage.over(region="UI"):
+            bpy.ops.view2d.scroll_down(page=True)
+    for _page in range(count):
+        with stage.over(region="UI"):
+            bpy.ops.view2d.scroll_up(page=True)
+
+
 def check_a_new_file(stage):
     yield from whole(stage)
     yield from stage.picture("new-file")
@@ -27,6 +45,8 @@ def check_an_empty_scene(stage):
     scenery.empty_room()
     yield from whole(stage)
     yield from stage.picture("no-mesh")
+    with all_open():
+        yield from pages(stage, "no-mesh-open", 2)
     stage.expect("no stroke", strokes() == [])
 
 
@@ -51,8 +71,58 @@ def check_everything_baked(stage):
     with stage.over():
         bpy.ops.hnf.plan()
     yield from stage.until("its signal is there", lambda: heard("Stroke") is not None, 20.0)
-    yield from stage.picture("baked", settle=2.0)
+    yield from settled(stage, "baked")
     stage.expect("four strokes with bakes", len(strokes()) == 4 and all(kept()[obj.name][-1] for obj in strokes()))
+
+
+def check_light_theme(stage):
+    folder = Path(bpy.utils.resource_path("SYSTEM")) / "scripts" / "presets" / "interface_theme"
+    preset = next(path for path in folder.glob("*.xml") if "light" in path.name.lower())
+    bpy.ops.script.execute_preset(filepath=str(preset), menu_idname="USERPREF_MT_interface_theme_presets")
+    try:
+        colour = bpy.context.preferences.themes[0].user_interface.wcol_regular.inner
+        stage.expect("the theme is light", sum(colour[:3]) > 1.5, tuple(colour))
+        yield from heard_in(stage, "LIGHT")
+        yield from settled(stage, "light")
+    finally:
+        bpy.ops.preferences.reset_default_theme()
+    yield from heard_in(stage, "DARK")
+
+
+def heard_in(stage, theme):
+    """Until the preview's picture is of this theme."""
+    strokes()[0].update_tag()  # a new theme alone is not looked for
+    wanted = getattr(ours("preview.pictures"), theme)
+    yield from stage.until(f"its picture is {theme}", lambda: heard("Stroke").look.theme == wanted, 20.0)
+
+
+def check_every_panel_open(stage):
+    with all_open():
+        yield from pages(stage, "open", 3)
+        yield from used(stage)
+        yield from pages(stage, "used", 3)
+        yield from stage.widen_sidebar(190)
+        yield from pages(stage, "used-narrow", 4)
+        yield from stage.widen_sidebar(340)
+    bpy.data.objects["Stroke 2"].hnf_stroke.mute = False
+    bpy.data.objects["Stroke 4"].hnf_stroke.duration_s = 0.5
+
+
+def used(stage):
+    """What Plan, Export and Diagnose show after their buttons were pressed."""
+    bpy.ops.wm.save_as_mainfile(filepath=str(stage.folder / "panels.blend"), check_existing=False)
+    bpy.context.scene.hnf.export_format = "haptic"
+    with stage.over():
+        stage.expect("exported", bpy.ops.hnf.export(all=True) == {"FINISHED"})
+        stage.expect("looked closer", bpy.ops.hnf.diagnose() == {"FINISHED"})
+    stage.expect("of each stroke is told what was lost", len(ours("preview.facts").PREVIEW.exported) == 4)
+    bpy.data.objects["Stroke 2"].hnf_stroke.mute = True
+    bpy.data.objects["Stroke 4"].hnf_stroke.duration_s = 0.8
+    yield 1.0
+    with stage.over():
+        bpy.ops.hnf.plan()
+    kinds = {line.kind for line in state().plan.lines}
+    stage.expect("the plan has something of each", {"needed", "fresh", "skipped"} <= kinds, kinds)
 
 
 def check_long_names(stage):
@@ -67,18 +137,6 @@ def check_long_names(stage):
     yield from stage.picture("long-names-narrow")
     yield from stage.widen_sidebar(340)
     stage.expect("nothing is lost by a name", len(strokes()) == 4)
-
-
-def check_light_theme(stage):
-    folder = Path(bpy.utils.resource_path("SYSTEM")) / "scripts" / "presets" / "interface_theme"
-    preset = next(path for path in folder.glob("*.xml") if "light" in path.name.lower())
-    bpy.ops.script.execute_preset(filepath=str(preset), menu_idname="USERPREF_MT_interface_theme_presets")
-    yield 0.6
-    yield from stage.picture("light")
-    colour = bpy.context.preferences.themes[0].user_interface.wcol_regular.inner
-    stage.expect("the theme is light", sum(colour[:3]) > 1.5, tuple(colour))
-    bpy.ops.preferences.reset_default_theme()
-    yield 0.4
 
 
 def check_edit_mode(stage):

@@ -1,0 +1,32 @@
+"""The Touch tab with every panel open. Python can neither open a panel nor learn where its header is."""
+
+from contextlib import contextmanager
+
+import bpy
+
+from .addon import ours
+
+CLOSED = "DEFAULT_CLOSED"
+
+
+@contextmanager
+def all_open():
+    """Inside, panels that begin closed stand open at their places; afterwards the tab is what it was."""
+    panels = [each for each in ours("ui")._on if issubclass(each, bpy.types.Panel)]
+    closed = [each for each in panels if CLOSED in getattr(each, "bl_options", ())]
+    replaced(panels, dict.fromkeys(closed, (set(), "_open")))
+    try:
+        yield
+    finally:
+        replaced(panels, dict.fromkeys(closed, ({CLOSED}, "")))
+
+
+def replaced(panels, changed) -> None:
+    """Registers all anew, in the same order: each stands behind those before it. changed: panel → its options, and
+    what is added to its name, by which Blender remembers whether it is open."""
+    for panel in reversed(panels):
+        bpy.utils.unregister_class(panel)
+    for panel, (options, added) in changed.items():
+        panel.bl_options, panel.bl_idname = options, panel.__name__ + added
+    for panel in panels:
+        bpy.utils.register_class(panel)
