@@ -142,7 +142,8 @@ def _look(context: Any, heard: set[str], ended: bool, *, is_first: bool) -> None
         actuator.tick(context, shown_now.stamp, shown_now.signal)
     settings = scene.hnf
     seen = (
-        STATE.changes, active and active.name, actuator_of(scene), settings.monitor_gain_db,
+        STATE.changes, active and active.name, active and current.look_of(context), actuator_of(scene),
+        settings.monitor_gain_db,
         tuple((name, status.freshness, status.why) for name, status in STATE.strokes.items()),
     )  # fmt: skip
     if seen != looked.seen:

@@ -34,7 +34,8 @@ def loss_sentence(exported: Exported) -> str:
         "{file}: level {level:+.1f} dB, most changed {low:.0f}–{high:.0f} Hz {band:+.1f} dB, duration {ms:+.1f} ms"
     )
     high = min(worst.high_hz, loss.before.sample_rate_hz / 2.0)
-    return said.format(file=name, level=level + 0.0, low=worst.low_hz, high=high, band=band_db, ms=longer + 0.0)
+    told = said.format(file="\0", level=level + 0.0, low=worst.low_hz, high=high, band=band_db, ms=longer + 0.0)
+    return told.replace("-", "−").replace("\0", name)
 
 
 def _most_changed(bands: tuple[Band, ...]) -> Band | None:

@@ -35,7 +35,7 @@ class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa:
         layout.prop(scene.hnf, "export_folder", text="")
         if not bpy.data.filepath and scene.hnf.export_folder.startswith("//"):
             hint(layout, context, tr("Save the .blend first, or choose a folder: // means the folder of the .blend"))
-        else:  # Blender paints a folder red that is not there yet
+        elif not PREVIEW.exported:  # Blender paints a folder red that is not there yet
             paragraph(layout, context, tr("Made at the first export if it is not there"), icon="BLANK1")
         row = side_by_side(layout, context)
         row.operator("hnf.export", text="This Stroke", icon="FILE_SOUND").all = False

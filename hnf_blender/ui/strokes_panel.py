@@ -14,7 +14,7 @@ from ..preview.facts import preview_facts
 from ..props.scene import active_stroke, listed_strokes, namesake
 from ..state.session import STATE
 from ..translations import tr
-from .layout import TouchPanel, hint, named, paragraph, side_by_side
+from .layout import TouchPanel, hint, paragraph, side_by_side
 from .texts import look
 
 FEWEST_ROWS, MOST_ROWS = 2, 8
@@ -94,7 +94,7 @@ class HNF_PT_stroke(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # noqa: N
         column.prop(group, "probe")
         row = labelled(column, "Feels")
         felt = spoken(group.material) if group.material else tr("What is there")
-        row.operator("hnf.stroke_material", text=named(context, felt, taken=6), icon="MATERIAL", translate=False)
+        row.operator("hnf.stroke_material", text=felt, icon="MATERIAL", translate=False)
         if group.material:
             row.operator("hnf.stroke_material_auto", text="", icon="X")
 

@@ -90,8 +90,7 @@ def check_light_theme(stage):
 
 
 def heard_in(stage, theme):
-    """Until the preview's picture is of this theme."""
-    strokes()[0].update_tag()  # a new theme alone is not looked for
+    """Until the preview's picture is of this theme; nothing but the theme changed."""
     wanted = getattr(ours("preview.pictures"), theme)
     yield from stage.until(f"its picture is {theme}", lambda: heard("Stroke").look.theme == wanted, 20.0)
 
