@@ -279,8 +279,9 @@ def test_a_look_that_is_given_up_leaves_nothing(lone_bake) -> None:
     assert STATE.job is None
 
 
-def test_an_empty_panel_says_what_to_do(panel, operators) -> None:
+def test_an_empty_panel_is_a_button_whose_tooltip_says_what_to_do(panel, operators) -> None:
     STATE.clear()
     said = drawn(panel)
-    assert "Click on a surface" in said.words
+    assert said.words == "Examine a Place"
     assert said.operators == ["hnf.probe"]
+    assert "Click on a surface" in bpy.ops.hnf.probe.get_rna_type().description

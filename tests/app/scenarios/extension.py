@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from types import FunctionType
 
 import bpy
 from drive.addon import MODULE, ours
@@ -12,7 +13,7 @@ HANDLERS = [name for name in dir(bpy.app.handlers) if isinstance(getattr(bpy.app
 
 
 def left_behind():
-    """Everything of ours that Blender holds: handlers, classes, keymap items, properties, menu entries, commands."""
+    """Everything of ours that Blender holds: handlers, timers, classes, keys, properties, menu entries, commands."""
     ours = [
         f"{name}: {call}" for name in HANDLERS for call in getattr(bpy.app.handlers, name) if MODULE in call.__module__
     ]
@@ -25,7 +26,7 @@ def left_behind():
     ]  # fmt: skip
     keys = [
         f"{keymap.name}: {item.idname}"
-        for config in (bpy.context.window_manager.keyconfigs.addon, bpy.context.window_manager.keyconfigs.default)
+        for config in keyconfigs()
         for keymap in config.keymaps
         for item in keymap.keymap_items
         if "hnf" in item.idname or "hnf" in str(getattr(item.properties, "name", ""))
@@ -43,7 +44,32 @@ def left_behind():
         if function.__module__.startswith(MODULE)
     ]
     operators = list(dir(bpy.ops.hnf))
-    return ours + classes + keys + properties + entries + operators
+    return ours + timers() + classes + keys + properties + entries + operators
+
+
+def keyconfigs():
+    every = bpy.context.window_manager.keyconfigs
+    return every.addon, every.default, every.user
+
+
+def timers():
+    """Functions of ours that Blender calls by the clock."""
+    return [
+        f"timer: {module}.{name}"
+        for module, held in sorted(sys.modules.items())
+        if module.startswith(MODULE)
+        for name, value in vars(held).items()
+        if isinstance(value, FunctionType) and bpy.app.timers.is_registered(value)
+    ]
+
+
+def is_drawn(handle):
+    """Does Blender still draw what this handle stands for? If so, no longer."""
+    try:
+        bpy.types.SpaceView3D.draw_handler_remove(handle, "WINDOW")
+    except ValueError:
+        return False
+    return True
 
 
 def counts():
@@ -85,8 +111,11 @@ def check_switched_off_it_leaves_nothing(stage):
     import addon_utils
 
     stage.expect("something is there while it is on", left_behind())
+    stage.expect("timers among it", len(timers()) >= 2, timers())
+    overlay = ours("ui.overlay").OVERLAY.handle
     addon_utils.disable(MODULE)
     yield 0.3
+    stage.expect("it draws nothing while it is off", not is_drawn(overlay))
     stage.expect("nothing is there while it is off", left_behind() == [], left_behind())
     addon_utils.enable(MODULE)
     yield 0.3
