@@ -105,11 +105,11 @@ def draw_material(layout: Any, context: Any, material: Any) -> None:
 
 
 def alike(bakes: list[tuple[str, StrokeStatus]]) -> list[tuple[list[str], StrokeStatus]]:
-    """Names of the strokes that were baked with one material by the same routes, and a status of theirs; the order is
-    that of the first of each."""
-    found: dict[tuple[object, ...], tuple[list[str], StrokeStatus]] = {}
-    for name, status in bakes:
-        told = status.library_material, status.confidence, status.routes
+    """Names of the strokes on one slot that were baked with one material by the same routes, and a status of theirs, in
+    the order of the first of each."""
+    found: dict[tuple[str, ...], tuple[list[str], StrokeStatus]] = {}
+    for name, status in bakes:  # alike is what reads alike: confidences differ from stroke to stroke
+        told = status.shader, status.library_material, sure_text(status.confidence), status.routes
         found.setdefault(told, ([], status))[0].append(name)
     return list(found.values())
 
@@ -131,7 +131,8 @@ class HNF_PT_as_baked(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noq
             column = self.layout.column(align=True)
             paragraph(column, context, ", ".join(named(context, name) for name in names), icon="CURVE_DATA")
             felt = f"{spoken(status.library_material)}, {sure_text(status.confidence)}"
-            paragraph(column, context, felt, icon="BLANK1")
+            shader = f"{named(context, status.shader, taken=6)}: " if status.shader else ""
+            paragraph(column, context, shader + felt, icon="BLANK1")
             for line in routes_lines(status.routes):
                 paragraph(column, context, line, icon="BLANK1")
         if len(bakes) > MOST_BAKES:

@@ -97,5 +97,10 @@ def test_what_the_strokes_are_is_counted() -> None:
 
 def test_strokes_that_were_baked_alike_are_told_together() -> None:
     cork, oak = (StrokeStatus(Freshness.FRESH, library_material=name, confidence=0.4) for name in ("cork", "oak-wood"))
-    told = alike([("A", cork), ("B", oak), ("C", cork._replace(freshness=Freshness.STALE, why="moved"))])
-    assert [(names, status.library_material) for names, status in told] == [(["A", "C"], "cork"), (["B"], "oak-wood")]
+    moved = cork._replace(freshness=Freshness.STALE, why="moved", confidence=0.401)
+    elsewhere = cork._replace(shader="Lid")
+    told = alike([("A", cork), ("B", oak), ("C", moved), ("D", elsewhere)])
+    assert [names for names, _ in told] == [["A", "C"], ["B"], ["D"]]
+    assert [(status.shader, status.library_material) for _, status in told] == [
+        ("", "cork"), ("", "oak-wood"), ("Lid", "cork")
+    ]  # fmt: skip
