@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,18 +16,26 @@ REACH_M = 0.25
 
 def is_visible(obj: Any, view_layer: Any) -> bool:
     """Shown in this view layer and in renders."""
-    return bool(obj.visible_get(view_layer=view_layer)) and is_rendered(obj, view_layer)
+    return bool(visible([obj], view_layer))
 
 
-def is_rendered(obj: Any, view_layer: Any) -> bool:
-    """Neither it is disabled in renders, nor every collection that it is in, by itself or by one around it."""
+def visible(objects: Iterable[Any], view_layer: Any) -> list[Any]:
+    """Those of objects that are shown in this view layer and in renders."""
+    return [obj for obj in in_renders(objects, view_layer) if obj.visible_get(view_layer=view_layer)]
+
+
+def in_renders(objects: Iterable[Any], view_layer: Any) -> list[Any]:
+    """Those that are not disabled in renders, nor is every collection that they are in, by itself or by one around it.
+    Of many objects collections are looked through once."""
     import bpy
 
-    if obj.hide_render:
-        return False
     disabled = np.zeros(len(bpy.data.collections), dtype=bool)
     bpy.data.collections.foreach_get("hide_render", disabled)
-    return not disabled.any() or any(obj in each.objects.values() for each in _rendered(view_layer.layer_collection))
+    enabled = [obj for obj in objects if not obj.hide_render]
+    if not disabled.any():
+        return enabled
+    rendered = {obj.as_pointer() for each in _rendered(view_layer.layer_collection) for obj in each.objects}
+    return [obj for obj in enabled if obj.as_pointer() in rendered]
 
 
 def _rendered(layer: Any) -> Iterator[Any]:
@@ -60,11 +68,7 @@ def neighbours_hash_parts(obj: Any, scene: Any, depsgraph: Any, metres_per_unit:
     """What stands around obj, as text: names, boxes (to 0.1 mm, relative to obj) and numbers of corners of visible
     meshes within reach. A corner that moves within its mesh's box is not seen: it could at most free a better place."""
     low, high = world_box(obj, depsgraph, metres_per_unit)
-    others = [
-        other
-        for other in scene.objects
-        if other != obj and other.type == "MESH" and is_visible(other, depsgraph.view_layer)
-    ]
+    others = visible((other for other in scene.objects if other != obj and other.type == "MESH"), depsgraph.view_layer)
     lows, highs = world_boxes(others, depsgraph, metres_per_unit)
     near = np.flatnonzero((lows <= high + REACH_M).all(axis=1) & (highs >= low - REACH_M).all(axis=1))
     boxes = np.round(np.concatenate([lows[near] - low, highs[near] - low], axis=1), 4) + 0.0

@@ -13,7 +13,7 @@ from hnf_core.action.pen_stroke import PenSamples, PenStroke, PenStyle, pen_stro
 from hnf_core.errors import SceneError
 from hnf_core.units import m_to_mm
 
-from .boxes import is_rendered
+from .boxes import in_renders
 from .new_stroke import bezier_object, insert_keys, lay_on
 from .splat_cloud import is_cloud
 
@@ -118,7 +118,7 @@ def new_drawn_stroke(
     pen_stroke). Raises StrokeError for what is no stroke and SceneError for a surface that no stroke can touch;
     then nothing is made.
     """
-    if not is_rendered(surface, depsgraph.view_layer):
+    if not in_renders([surface], depsgraph.view_layer):
         raise SceneError(
             "it is hidden in renders, and what is touched is rendered.",
             where=f"object '{surface.name}'",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hnf_core.action.nearest import nearest_on_triangles
 from hnf_core.errors import SceneError, StrokeError
 
-from .boxes import is_visible, world_boxes
+from .boxes import visible, world_boxes
 from .meshes import Surface
 
 Float = NDArray[np.float64]
@@ -37,9 +37,7 @@ def nearest_surface(
     Objects are looked at in the order of their bounding boxes' distances, and only until no box can be nearer.
     Raises StrokeError where the scene shows no mesh.
     """
-    meshes = [
-        obj for obj in scene.objects if obj.type == "MESH" and obj != ignore and is_visible(obj, depsgraph.view_layer)
-    ]
+    meshes = visible((obj for obj in scene.objects if obj.type == "MESH" and obj != ignore), depsgraph.view_layer)
     if len(meshes) == 1 and len(meshes[0].evaluated_get(depsgraph).data.polygons):
         return meshes[0]  # nothing to compare with
     best, chosen = np.inf, None

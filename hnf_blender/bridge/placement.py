@@ -17,7 +17,7 @@ from hnf_core.action.primitives import DEFAULT_DOWN, DEFAULT_PRIMITIVE, Primitiv
 from hnf_core.errors import SceneError
 from hnf_core.scene.raycast import Hits, RayCaster
 
-from .boxes import is_visible, world_box
+from .boxes import is_visible, visible, world_box
 from .meshes import Surface, flush_edits, ray_caster, surface_mesh
 from .new_stroke import bezier_object, insert_keys
 
@@ -64,9 +64,8 @@ def _slots(scene: Any, depsgraph: Any) -> list[tuple[Any, int, str, float]]:
     """With each slot's area in square Blender units."""
     depsgraph = depsgraph or _current_depsgraph()
     found = []
-    for obj in sorted(scene.objects, key=lambda obj: str(obj.name)):
-        if obj.type != "MESH" or not is_visible(obj, depsgraph.view_layer):
-            continue
+    meshes = visible((obj for obj in scene.objects if obj.type == "MESH"), depsgraph.view_layer)
+    for obj in sorted(meshes, key=lambda obj: str(obj.name)):
         evaluated = obj.evaluated_get(depsgraph)
         polygons = evaluated.data.polygons
         if len(polygons) == 0:
@@ -223,9 +222,8 @@ class _Neighbours:
         self._rigid, self._metres = surface.rigid, metres_per_unit
         self.rays = 0
         self._near: list[tuple[Float, Float, Any]] = []
-        for other in scene.objects:
-            if other == obj or other.type != "MESH" or not is_visible(other, depsgraph.view_layer):
-                continue
+        others = (other for other in scene.objects if other != obj and other.type == "MESH")
+        for other in visible(others, depsgraph.view_layer):
             flush_edits(other)
             self._near.append((*world_box(other, depsgraph, metres_per_unit), other.evaluated_get(depsgraph)))
 

@@ -155,10 +155,10 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
             touch_at(self._touch, context, hit, force, time.perf_counter(), self._truth)
         except HnfError as error:
             self.report({"WARNING"}, one_line(error))
-        for name in self._truth.outdated - self._told:
-            said = tr("'{name}' changed since it was baked: it is felt by its look. Bake it again")
-            self.report({"WARNING"}, said.format(name=name))
-        self._told |= self._truth.outdated
+        for name in self._truth.outdated.keys() - self._told:
+            said = tr("{why}: it is felt by its look, not as baked")
+            self.report({"WARNING"}, said.format(why=self._truth.outdated[name].rstrip(".")))
+        self._told |= self._truth.outdated.keys()
 
 
 def touch_at(touch: Any, context: Any, hit: Any, force_n: float, time_s: float, truth: "StillTrue") -> None:

@@ -41,7 +41,7 @@ def behind(stroke: Any, scene: Any, stamp: str) -> list[str]:
     strips = [] if scene.sequence_editor is None else sequencer_strips(scene.sequence_editor)
     speakers = [each for each in scene.objects if each.type == "SPEAKER"] if bpy.data.speakers else []
     marked = [each for each in (*strips, *speakers) if each.get(STAMP_PROPERTY, stamp) != stamp]
-    return [str(each.name) for each in companions(stroke, scene, marked)]
+    return [str(each.name) for each in companions(stroke, scene, marked)] if marked else []
 
 
 def mark(companion: Any, stroke: Any, scene: Any, stamp: str) -> None:

@@ -30,12 +30,14 @@ def loss_sentence(exported: Exported) -> str:
         return tr("{file}: no octave changed by 0.05 dB").format(file=name)
     if worst is None:
         return tr("{file}: nothing of it is left").format(file=name)
-    said = tr(
-        "{file}: level {level:+.1f} dB, most changed {low:.0f}–{high:.0f} Hz {band:+.1f} dB, duration {ms:+.1f} ms"
-    )
+    said = tr("{file}: level {level} dB, most changed {low:.0f}–{high:.0f} Hz {band} dB, duration {ms} ms")
     high = min(worst.high_hz, loss.before.sample_rate_hz / 2.0)
-    told = said.format(file="\0", level=level + 0.0, low=worst.low_hz, high=high, band=band_db, ms=longer + 0.0)
-    return told.replace("-", "−").replace("\0", name)
+    change = {"level": _signed(level), "band": _signed(band_db), "ms": _signed(longer)}
+    return said.format(file=name, low=worst.low_hz, high=high, **change)
+
+
+def _signed(value: float) -> str:
+    return f"{value + 0.0:+.1f}".replace("-", "−")
 
 
 def _most_changed(bands: tuple[Band, ...]) -> Band | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..translations import tr
 from .guard import own_changes
 from .session import STATE
 
@@ -13,20 +14,24 @@ if TYPE_CHECKING:
 
 
 class StillTrue:
-    """Looked at once a surface, as that takes as long as hashing it does, and anew after people changed anything.
-    outdated: names of the objects whose tokens were found to be of another state of theirs."""
+    """Looked at once a surface, as that takes as long as hashing it does, and anew after people changed anything; not
+    while the timeline plays, which changes something with every frame.
+    outdated: why what is kept is not felt, by the object's name."""
 
     def __init__(self) -> None:
-        self.outdated: set[str] = set()
+        self.outdated: dict[str, str] = {}
         self._session: Session | None = None
         self._found: dict[str, bool] = {}
         self._changes = -1
 
     def of(self, obj: Any, scene: Any, view_layer: Any) -> bool:
         """False also where it cannot be told: in Edit Mode, of what is hidden."""
+        import bpy
+
         from hnf_core.errors import HnfError
 
-        if self._changes != STATE.changes:
+        plays = any(window.screen.is_animation_playing for window in bpy.context.window_manager.windows)
+        if self._changes != STATE.changes and not (plays and self._found):
             self._session, self._changes = None, STATE.changes
             self._found.clear()
             self.outdated.clear()
@@ -34,18 +39,21 @@ class StillTrue:
         if name not in self._found:
             try:
                 self._found[name] = self._look(obj, scene, view_layer)
-            except HnfError:
-                self._found[name] = False
-            if not self._found[name]:
-                self.outdated.add(name)
+                why = "" if self._found[name] else tr("'{name}' changed since it was baked").format(name=name)
+            except HnfError as error:
+                self._found[name], why = False, str(error)
+            if why:
+                self.outdated[name] = why
         return self._found[name]
 
     def _look(self, obj: Any, scene: Any, view_layer: Any) -> bool:
+        from hnf_core.errors import SceneError
+
         from ..jobs.work import scene_session
         from ..touch.stored import tokens_are_there
 
         if obj.mode == "EDIT":
-            return False
+            raise SceneError("it is in Edit Mode.", where=f"object '{obj.name}'", remedy="Leave Edit Mode.")
         with own_changes(view_layer):
             if self._session is None:
                 self._session = scene_session(scene, view_layer, Path())

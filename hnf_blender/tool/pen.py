@@ -11,7 +11,7 @@ import numpy as np
 from hnf_core.action.pen_stroke import REST_S, evenly_in_time
 from hnf_core.units import m_to_mm
 
-from ..bridge.boxes import is_rendered
+from ..bridge.boxes import in_renders
 from ..bridge.drawn_stroke import cast_on_surface
 from ..ops.active import metres_of
 from ..translations import tr
@@ -93,7 +93,7 @@ class Pen:
         if hit is None:
             self.why_not = why_untouched(context, self._region, (x, y)) or self.why_not
             return False
-        if not is_rendered(hit.obj, context.view_layer):
+        if not in_renders([hit.obj], context.view_layer):
             said = tr("'{name}' is hidden in renders, and what is touched is rendered")
             self.why_not = said.format(name=hit.obj.name)
             return False

@@ -17,7 +17,7 @@ from hnf_core.files import content_hash
 from hnf_core.material.hnf_file import MaterialFile
 from hnf_core.material.library import LIBRARY_PATH, find
 
-from ..bridge.boxes import is_visible, neighbours_hash_parts
+from ..bridge.boxes import is_visible, neighbours_hash_parts, visible
 from ..bridge.hashes import material_hash
 from ..bridge.importers import size_warning
 from ..bridge.meshes import Surface, flush_edits, mesh_hash, slot_materials, surface_frame, surface_mesh
@@ -333,8 +333,8 @@ def _left_out(session: Session, touched: set[str]) -> Iterator[Skipped]:
     others = [
         obj for obj in session.scene.objects if obj.type == "MESH" and obj.name not in touched and not is_cloud(obj)
     ]
-    hidden = [obj.name for obj in others if not is_visible(obj, session.view_layer)]
-    free = [obj.name for obj in others if obj.name not in set(hidden)]
+    free = [obj.name for obj in visible(others, session.view_layer)]
+    hidden = sorted({obj.name for obj in others}.difference(free))
     muted = [obj.name for obj in session.scene.objects if obj.hnf_stroke.is_stroke and obj.hnf_stroke.mute]
     for names, kind, why in (
         (free, "object", "no stroke touches it"),

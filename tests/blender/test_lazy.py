@@ -71,6 +71,23 @@ def test_no_mesh_is_read_but_that_under_the_stroke(tmp_path, read, named, way) -
     assert (cost.work["renders"], cost.work["F_Θ calls"]) == (1, 1)
 
 
+def test_collections_are_looked_through_once_however_many_objects_there_are(monkeypatch) -> None:
+    planes = [add_plane(f"Plate {number}", 0.1) for number in range(6)]
+    in_hidden_collection(planes[0], "disabled in renders")
+    asked, rendered = [], boxes._rendered
+
+    def counted(layer):
+        asked.append(layer.name)
+        return rendered(layer)
+
+    monkeypatch.setattr(boxes, "_rendered", counted)
+    shown = boxes.visible(bpy.context.scene.objects, bpy.context.view_layer)
+    assert {obj.name for obj in shown} == {obj.name for obj in planes[1:]}
+    assert len(asked) == len(set(asked)) == 2
+    planes[1].hide_render = True
+    assert [boxes.is_visible(obj, bpy.context.view_layer) for obj in planes[:3]] == [False, False, True]
+
+
 def test_the_next_surface_is_found_among_the_near_boxes(read) -> None:
     """Of ten plates below each other the stroke's own and, to compare, none farther than that is read."""
     for number in range(10):
