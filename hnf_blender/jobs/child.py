@@ -24,10 +24,13 @@ LAST_LINES = 12
 DEATH_S = 5.0
 """How long is waited, beside the window, for a killed process to be gone; it can do nothing any more."""
 
-NEW_GROUP, NO_CONSOLE = 0x200, 0x08000000
-"""Windows: a process group of its own; no console window that flashes up. subprocess names them there alone."""
+NICENESS = 5
+"""The person's own Blender comes first, from the child's first moment: while it starts, it is at its busiest."""
+NEW_GROUP, NO_CONSOLE, BELOW_NORMAL = 0x200, 0x08000000, 0x4000
+"""Windows: a process group of its own; no console window that flashes up; after the person's own Blender. subprocess
+names them there alone."""
 OWN_GROUP: dict[str, Any] = (
-    {"creationflags": NEW_GROUP | NO_CONSOLE} if sys.platform == "win32" else {"start_new_session": True}
+    {"creationflags": NEW_GROUP | NO_CONSOLE | BELOW_NORMAL} if sys.platform == "win32" else {"start_new_session": True}
 )
 """For Popen: end_group() then reaches all that the process starts."""
 
@@ -66,6 +69,7 @@ class Child:
                 where=program.words[0],
                 remedy=program.remedy,
             ) from error
+        stand_back(self._process.pid)
         self._reader = threading.Thread(target=self._read, name="hnf bake reader", daemon=True)
         self._reader.start()
 
@@ -135,6 +139,13 @@ class Child:
                     self._messages.put(message)
                 elif line:
                     self._said.append(line)
+
+
+def stand_back(pid: int) -> None:
+    """Let a process of our own come after this one. On Windows OWN_GROUP has done it."""
+    if sys.platform != "win32":
+        with contextlib.suppress(OSError):  # it has ended already
+            os.setpriority(os.PRIO_PROCESS, pid, os.getpriority(os.PRIO_PROCESS, 0) + NICENESS)
 
 
 def end_group(pid: int) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import sys
 import traceback
@@ -15,16 +14,11 @@ from .messages import Broken, Finished, Message, Step, encode
 from .order import SCENE_NAME, read_order, write_result
 from .work import work_steps
 
-NICENESS = 5
-"""The person's own Blender comes first."""
-
 
 def run(folder: Path) -> int:
     """Do the order in folder; returns the exit code. Never raises: what goes wrong is said."""
     import bpy
 
-    with contextlib.suppress(AttributeError, OSError):
-        os.nice(NICENESS)
     # Our own copy of the stream: whatever is redirected or held back meanwhile, messages pass.
     stream = os.dup(1)
 

@@ -13,8 +13,6 @@ from pathlib import Path
 
 CORE = "hnf_core"
 PARENT_GONE = 3
-NICENESS = 5
-"""The person's own Blender comes first."""
 
 
 def leave_with_parent() -> None:
@@ -49,8 +47,6 @@ def main(core: str, lesson: str, out: str) -> int:
     leave_with_parent()
     own = str(Path(__file__).resolve().parent)  # its modules are the add-on's, and no library is to meet them
     sys.path[:] = [entry for entry in sys.path if os.path.realpath(entry) != own]
-    if hasattr(os, "nice"):
-        os.nice(NICENESS)
     try:
         load_core(core)
         learn = importlib.import_module(f"{CORE}.cli.learn")

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import sys
+from pathlib import Path
 
 import bpy
 import pytest
@@ -11,11 +14,13 @@ from job_scene import (
     bake,
     kept,
     line_stroke,
+    reach,
     small_scene,
     start,
 )
 
 from hnf_blender.jobs import current, running
+from hnf_blender.jobs.child import NICENESS
 from hnf_blender.state.session import STATE
 
 pytestmark = pytest.mark.usefixtures("lone_bake")
@@ -83,3 +88,15 @@ def test_a_copy_that_cannot_be_opened_is_told(monkeypatch, warm_bake) -> None:
     ended = bake()
     assert not ended.ok
     assert kept() == NOTHING
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="it reads threads in /proc")
+def test_the_child_comes_after_the_window_from_its_first_moment(warm_bake) -> None:
+    small_scene()
+    child = start().pid
+    mine = os.getpriority(os.PRIO_PROCESS, 0)
+    assert os.getpriority(os.PRIO_PROCESS, child) == mine + NICENESS
+    assert reach("opening")
+    every = [int(thread.name) for thread in Path(f"/proc/{child}/task").iterdir()]
+    assert {os.getpriority(os.PRIO_PROCESS, thread) for thread in every} == {mine + NICENESS}
+    current.cancel()

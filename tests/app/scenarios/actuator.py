@@ -12,7 +12,6 @@ from drive.timing import Spent
 SCREEN = "1280x1400"
 SMOOTH = "no"  # nobody looks at how its 3-D view is drawn
 FRAMES = 72
-QUICK_S = 0.1  # of one call in the window's own thread; this may run on a busy machine
 SOON_S = 30.0
 
 
@@ -71,11 +70,13 @@ def check_the_test_button(stage):
         with stage.over():
             stage.expect("pressed", bpy.ops.hnf.actuator_test() == {"FINISHED"})
         yield from stage.until("it plays", lambda: phase() == "playing" and facts().level_m_s2 > 0.5, SOON_S)
-        stage.measured("first sound of a fresh player", time.monotonic() - began, "s")
+        first_sound = time.monotonic() - began
+        stage.measured("first sound of a fresh player", first_sound, "s")
         yield from stage.picture("test", settle=0.2)
         yield from stage.until("it ends", lambda: phase() == "ready", SOON_S)
     stage.measured(f"longest call of ours ({spent.longest_name})", 1e3 * spent.longest, "ms")
-    stage.expect("Blender waits for nothing", spent.longest < QUICK_S, f"{spent.longest:.3f} s {spent.longest_name}")
+    told = f"{spent.longest:.3f} of {first_sound:.3f} s: {spent.longest_name}"
+    stage.expect("Blender does not wait for the player", spent.longest < first_sound / 3, told)
     stage.expect("without a fault", not facts().problem, facts().problem)
 
 
