@@ -124,6 +124,23 @@ def used(stage):
     stage.expect("the plan has something of each", {"needed", "fresh", "skipped"} <= kinds, kinds)
 
 
+def check_in_another_language(stage):
+    """Words that Blender draws, words that the add-on puts together, and the room that longer ones need."""
+    view = bpy.context.preferences.view
+    view.language = "de_DE"
+    try:
+        yield 1.0
+        stage.expect("labels are translated", bpy.app.translations.pgettext("Bake Touch") == "Berührung backen")
+        with stage.over():
+            bpy.ops.hnf.plan()
+        with all_open():
+            yield from pages(stage, "german", 3)
+    finally:
+        view.language = "en_US"
+    yield 0.5
+    stage.expect("and back", bpy.app.translations.pgettext("Bake Touch") == "Bake Touch")
+
+
 def check_long_names(stage):
     plate = bpy.data.objects["Plate"]
     plate.name = LONG[:60]
