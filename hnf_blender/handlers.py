@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 from .bridge.temporary import SCENE_NAME
-from .props.listed import LISTED
+from .props.listed import NEWS
 from .state import picked
 from .state.session import STATE
 from .state.watch import EVERYTHING, drain, forget
@@ -26,14 +26,14 @@ def note_changes(scene: Any, depsgraph: Any = None) -> None:
         if kind in TELLING or kind.endswith("NodeTree"):
             STATE.dirty.add(block.name)
             STATE.changes += 1
-            LISTED.forget()
+            NEWS.forget()
 
 
 def note_history(*_: Any) -> None:
     """undo_post, redo_post: references are dead, and anything may be another."""
     STATE.dirty.add(EVERYTHING)
     STATE.changes += 1
-    LISTED.forget()
+    NEWS.forget()
 
 
 def leave_file(*_: Any) -> None:
@@ -48,7 +48,7 @@ def enter_file(*_: Any) -> None:
     forget()
     picked.forget()
     STATE.clear()
-    LISTED.forget()
+    NEWS.forget()
     STATE.dirty.add(EVERYTHING)
     STATE.changes += 1
 
@@ -92,7 +92,7 @@ def register() -> None:
     for name, handler in HANDLERS:
         getattr(bpy.app.handlers, name).append(bpy.app.handlers.persistent(handler))
     STATE.dirty.add(EVERYTHING)
-    LISTED.is_told = True
+    NEWS.is_told = True
     bpy.app.timers.register(tick, first_interval=INTERVAL_S, persistent=True)
 
 
@@ -105,8 +105,8 @@ def unregister() -> None:
             listed.remove(handler)
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
-    LISTED.is_told = False
-    LISTED.forget()
+    NEWS.is_told = False
+    NEWS.forget()
     forget()
     picked.forget()
     STATE.clear()

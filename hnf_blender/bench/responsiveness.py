@@ -1,7 +1,8 @@
 """How long Blender waits for us while a bake runs beside it: start, ticks, handlers, looks at changes, commit, end.
 
 The window is played: its timers' calls are made by hand at their own pace, with an edit now and then, so that every
-call is seen from the outside. What Blender draws is not in it (tests/app times that in a real window).
+call is seen from the outside. The tab is drawn into a hollow layout, once a tick as in the window; what Blender itself
+makes of it is not in it (tests/app times that in a real window).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any
 from hnf_core.bench.frame import Options, Row, Times
 from hnf_core.errors import HnfError
 
+from .hollow import draw_tab, tab_on
 from .needs import need_bpy
 from .stage import CUTS, QUICK_CUTS, STROKES, plate_with_strokes, playing, stroke_names
 
@@ -25,6 +27,7 @@ CANCEL_AT_S = (0.0, 0.1, 0.3, 0.6, 1.0, 1.5)
 """After the start; the child loads Blender in the first second."""
 
 WHOLE = "the whole bake, beside the window"
+DRAW = "draw the tab"
 
 Waits = dict[str, Times]
 
@@ -38,7 +41,7 @@ def rows(options: Options) -> list[Row]:
     waits: Waits = defaultdict(Times)
     for repeat in range(options.repeats):
         options.watch(f"{NAME}: bake {repeat + 1} of {options.repeats}")
-        with playing() as (scene, layer):
+        with playing() as (scene, layer), tab_on():
             faces = len(plate_with_strokes(QUICK_CUTS if options.quick else CUTS).data.polygons)
             _saved_copy(waits)
             for pause in CANCEL_AT_S[:1] if options.quick else CANCEL_AT_S:
@@ -48,6 +51,7 @@ def rows(options: Options) -> list[Row]:
         "save a copy": f"{faces:,} faces",
         "start": "the copy, the order, the child process",
         "cancel": f"{', '.join(f'{pause:g}' for pause in CANCEL_AT_S)} s after the start",
+        DRAW: "every panel open, into a hollow layout",
         WHOLE: f"{STROKES} strokes, no close-up there yet",
     }
     return [Row(NAME, name, found.seconds, found.cpu, note=notes.get(name, "")) for name, found in waits.items()]
@@ -88,6 +92,7 @@ def _baked(scene: Any, layer: Any, waits: Waits) -> None:
                 next_job = now + JOB_TICK_S
                 stage = "tick, commit" if bake.is_committing else "tick, child at work"
                 ended = waits[stage].take(current.tick)
+                waits[DRAW].take(lambda: draw_tab(scene, layer))
             time.sleep(STEP_S)
     finally:
         bpy.app.handlers.depsgraph_update_post.remove(told)

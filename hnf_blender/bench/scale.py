@@ -17,6 +17,7 @@ from hnf_core.bench.scale import NAME
 from hnf_core.cli.touch import TouchRequest
 from hnf_core.errors import HnfError
 
+from .hollow import draw_tab, tab_on
 from .needs import need_bpy
 from .scale_scenes import PLATE, crowd, empty_file, plate, saved, strokes
 
@@ -33,6 +34,7 @@ APART_UP_TO = 100
 """Strokes with places of their own: each takes its own close-ups, and a thousand of them a quarter of an hour."""
 AMONG, QUICK_AMONG = 999, 2
 MOST_S = 240.0
+DRAWS = 20
 ALONE = "one object alone"
 KINDS = (("meshes of their own", True), ("one mesh", False))
 
@@ -43,7 +45,7 @@ def rows(options: Options) -> list[Row]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         found = among_others(options, folder)
-        lines = (*objects(options, folder), *faces(options, folder), *touched(options, folder))
+        lines = (*objects(options, folder), *faces(options, folder), *touched(options, folder), *panels(options))
         return found + with_exponents([row for line in lines for row in grown(NAME, line, options)])
 
 
@@ -137,6 +139,23 @@ def touched(options: Options, folder: Path) -> list[Line]:
     ]
 
 
+def panels(options: Options) -> list[Line]:
+    """The Touch tab drawn once, in scenes of so many objects, and of so many strokes."""
+
+    def beside(count: int) -> None:
+        _scene_of(lambda: crowd(count - 1, own_meshes=False), QUICK_LENGTH_M)
+
+    def with_strokes(count: int) -> None:
+        empty_file()
+        strokes(count, plate(8), apart=False, length_m=QUICK_LENGTH_M)
+
+    many = (QUICK_OBJECTS, QUICK_STROKES) if options.quick else (OBJECTS, STROKES)
+    return [
+        Line("objects", "the tab drawn", many[0], lambda count: drawn_tab(), MOST_S, beside),
+        Line("strokes", "the tab drawn", many[1], lambda count: drawn_tab(), MOST_S, with_strokes),
+    ]
+
+
 def _scene_of(beside: Callable[[], None], length_m: float) -> None:
     empty_file()
     strokes(1, plate(8), apart=False, length_m=length_m)
@@ -145,6 +164,21 @@ def _scene_of(beside: Callable[[], None], length_m: float) -> None:
 
 def _length(options: Options) -> float:
     return QUICK_LENGTH_M if options.quick else LENGTH_M
+
+
+def drawn_tab() -> Cost:
+    """The Touch tab of the file that is open, drawn while nothing changes; the mean of several times."""
+    import bpy
+
+    scene, layer = bpy.context.scene, bpy.context.view_layer
+    layer.update()
+    with tab_on():
+        draw_tab(scene, layer)
+        clock = Clock()
+        for _ in range(DRAWS):
+            draw_tab(scene, layer)
+        cost = clock.cost({})
+    return replace(cost, seconds=cost.seconds / DRAWS, cpu=cost.cpu / DRAWS)
 
 
 def touch_file(path: Path) -> Cost:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hnf_core.action.keys import Keys
 
 from .. import compat
-from ..props.listed import LISTED
+from ..props.listed import NEWS
 
 Float = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def into_collection(stroke: Any, scene: Any) -> None:
             collection.objects.unlink(stroke)
     if own not in stroke.users_collection:
         own.objects.link(stroke)
-    LISTED.forget()
+    NEWS.forget()
 
 
 def show_collection(stroke: Any, view_layer: Any) -> bool:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from hnf_core.errors import SceneError
 from hnf_core.scene.splats.cloud import Splats
 
+from ..props.listed import Listed
 from .meshes import flush_edits
 from .storage import CONFIDENCE_ATTRIBUTE, TOKEN_ATTRIBUTE, PointTokens
 
@@ -93,6 +94,10 @@ def cloud_of(obj: Any) -> Any:
     """The object with the splats of a surface, or None."""
     cloud = obj.original.get(CLOUD_PROPERTY) if obj is not None else None
     return cloud if is_cloud(cloud) else None
+
+
+TOUCHABLE = Listed(lambda obj: cloud_of(obj) is not None)
+"""Surfaces that have splats."""
 
 
 def surface_of(cloud: Any) -> Any:

@@ -10,7 +10,7 @@ from hnf_core.action.primitives import PRIMITIVES, Primitive
 from hnf_core.errors import HnfError, SceneError
 
 from ..compat import own_action
-from ..props.listed import LISTED
+from ..props.listed import NEWS
 from ..props.scene import active_stroke, has_strokes, place_in, stroke_named, strokes_of
 from ..translations import tr
 from .active import AS_SET, make_active, make_shown, metres_of, one_line, probe_of
@@ -167,7 +167,7 @@ class HNF_OT_stroke_from_curve(bpy.types.Operator):  # type: ignore[misc]  # noq
             group.law, group.speed_mm_s = "SPEED", self.speed_mm_s
             group.start, group.probe = float(context.scene.frame_current_final), probe_of(context, AS_SET)
             made.append(obj)
-        LISTED.forget()  # Blender tells of no object: there is no new one
+        NEWS.forget()  # Blender tells of no object: there is no new one
         if not made:
             return {"CANCELLED"}
         active = context.view_layer.objects.active

@@ -1,40 +1,75 @@
-"""Which objects of a scene are strokes, remembered while nobody changes anything: panels ask dozens of times a redraw
-and a timer 25 times a second, and a scene may have ten thousand objects."""
+"""Which objects of a scene are strokes (or whatever else is asked for), remembered while nobody changes anything:
+panels ask dozens of times a redraw and a timer 25 times a second, and a scene may have ten thousand objects."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 HOLDS_S = 1.0
-"""A list is made anew then at the latest: Blender does not tell of everything, such as a script that makes a curve of
-the scene a stroke."""
+"""A list is made anew then at the latest: Blender does not tell of everything, such as a curve of which a script makes
+a stroke by its custom properties."""
+A_REDRAW_S = 0.05
+"""All of one redraw is asked within it."""
+FEW = 4
+"""Objects that are fetched by their places one by one: Blender counts up to each. More: all of the scene's at once."""
 
 
-class Listed:
-    """is_told: handlers tell of changes, by forget(); without them nothing is remembered. What is remembered are
-    places in the scene's objects, never references, and each is looked at before it is believed."""
+class News:
+    """is_told: handlers tell of changes, by forget(); without them nothing is remembered."""
 
     def __init__(self) -> None:
         self.is_told = False
-        self._places: dict[str, tuple[float, tuple[int, ...]]] = {}
+        self.changes = 0
 
     def forget(self) -> None:
         """Something changed."""
-        self._places.clear()
+        self.changes += 1
 
-    def strokes(self, scene: Any) -> list[Any]:
-        """The scene's stroke objects, in the order of its objects."""
-        since, places = self._places.get(scene.name_full, (float("-inf"), ()))
-        if self.is_told and time.monotonic() - since < HOLDS_S:
-            objects = scene.objects[:] if places else ()
-            found = [objects[at] for at in places if at < len(objects) and objects[at].hnf_stroke.is_stroke]
+
+NEWS = News()
+
+
+class Listed:
+    """The objects of a scene of which is_one(object) holds. What is remembered are places among the scene's objects,
+    never references, and each is looked at before it is believed."""
+
+    def __init__(self, is_one: Callable[[Any], bool]) -> None:
+        self._is_one = is_one
+        self._places: dict[str, tuple[int, float, tuple[int, ...]]] = {}
+
+    def numbered(self, scene: Any, holds_s: float | None = None) -> list[tuple[int, Any]]:
+        """(place, object), in the order of the scene's objects. holds_s: of what is remembered; None = HOLDS_S."""
+        holds_s = HOLDS_S if holds_s is None else holds_s
+        changes, since, places = self._places.get(scene.name_full, (-1, float("-inf"), ()))
+        if NEWS.is_told and changes == NEWS.changes and time.monotonic() - since < holds_s:
+            found = [(at, obj) for at, obj in _fetched(scene.objects, places) if self._is_one(obj)]
             if len(found) == len(places):
                 return found
-        numbered = [(at, obj) for at, obj in enumerate(scene.objects) if obj.hnf_stroke.is_stroke]
-        if self.is_told:
-            self._places[scene.name_full] = time.monotonic(), tuple(at for at, _ in numbered)
-        return [obj for _, obj in numbered]
+        found = [(at, obj) for at, obj in enumerate(scene.objects) if self._is_one(obj)]
+        if NEWS.is_told:
+            self._places[scene.name_full] = NEWS.changes, time.monotonic(), tuple(at for at, _ in found)
+        return found
+
+    def of(self, scene: Any) -> list[Any]:
+        """In the order of the scene's objects."""
+        return [obj for _, obj in self.numbered(scene)]
 
 
-LISTED = Listed()
+def object_at(objects: Any, place: int) -> Any:
+    """objects[place], or None. Blender counts a scene's objects anew for each len()."""
+    try:
+        return objects[place]
+    except IndexError:
+        return None
+
+
+def _fetched(objects: Any, places: tuple[int, ...]) -> list[tuple[int, Any]]:
+    """Those of the places that still are."""
+    held = objects[:] if len(places) > FEW else objects
+    fetched = ((at, object_at(held, at)) for at in places)
+    return [(at, obj) for at, obj in fetched if obj is not None]
+
+
+STROKES = Listed(lambda obj: bool(obj.hnf_stroke.is_stroke))

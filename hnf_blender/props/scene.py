@@ -10,7 +10,7 @@ from hnf_core.actuators.profile import GENERIC, OWN, PROFILES, ActuatorProfile, 
 
 from ..compat import beside_the_file
 from .export_formats import FORMAT_ITEMS
-from .listed import LISTED
+from .listed import A_REDRAW_S, STROKES, object_at
 from .overriding import OVERRIDABLE
 from .profile_file import FILE, profile_in_file
 from .stroke import FORCE_MAX_N
@@ -154,12 +154,12 @@ def strokes_of(scene: Any) -> list[Any]:
 def listed_strokes(scene: Any) -> list[Any]:
     """strokes_of(), remembered while Blender tells of no change: for panels and timers, which ask all the time. A
     script may make a stroke of which Blender tells nothing, so operators look anew."""
-    return LISTED.strokes(scene)
+    return STROKES.of(scene)
 
 
 def has_strokes(scene: Any) -> bool:
-    """For poll(): cheap where there are some, and never wrong where there are none."""
-    return bool(listed_strokes(scene) or strokes_of(scene))
+    """For poll(): cheap where there are some; that there are none is believed for the time of a redraw."""
+    return bool(STROKES.numbered(scene) or STROKES.numbered(scene, A_REDRAW_S))
 
 
 def stroke_named(scene: Any, name: str) -> Any:
@@ -171,7 +171,7 @@ def stroke_named(scene: Any, name: str) -> Any:
 
 def namesake(scene: Any, stroke: Any) -> Any:
     """Another stroke of the scene with this one's name, which one linked from another file may have; or None."""
-    return next((obj for obj in strokes_of(scene) if obj.name == stroke.name and obj != stroke), None)
+    return next((obj for obj in listed_strokes(scene) if obj.name == stroke.name and obj != stroke), None)
 
 
 def place_in(objects: Any, obj: Any) -> int:
@@ -189,8 +189,8 @@ def active_stroke(context: Any) -> Any:
     active = context.view_layer.objects.active
     if active is not None and active.hnf_stroke.is_stroke:
         return active
-    index = scene.hnf.stroke_index
-    if index < len(scene.objects) and scene.objects[index].hnf_stroke.is_stroke:
-        return scene.objects[index]
+    picked = object_at(scene.objects, scene.hnf.stroke_index)
+    if picked is not None and picked.hnf_stroke.is_stroke:
+        return picked
     strokes = listed_strokes(scene)
     return strokes[0] if len(strokes) == 1 else None

@@ -132,7 +132,7 @@ class HNF_PT_scale(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: 
 
     def draw(self, context: Any) -> None:
         from ..bridge.importers import metres_per_unit
-        from ..bridge.splat_cloud import cloud_of
+        from ..bridge.splat_cloud import TOUCHABLE
 
         layout, scene = self.layout, context.scene
         layout.use_property_split = True
@@ -146,7 +146,7 @@ class HNF_PT_scale(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: 
         )
         paragraph(layout, context, text.format(size=f"{metres:g} m"), icon="INFO")
         layout.operator("hnf.set_real_length", icon="DRIVER_DISTANCE")
-        if not scene.hnf.metres_per_unit and any(cloud_of(obj) is not None for obj in scene.objects):
+        if not scene.hnf.metres_per_unit and TOUCHABLE.of(scene):
             said = tr(
                 "A reconstruction has no scale of its own: select two points of it and say how far apart they are"
             )

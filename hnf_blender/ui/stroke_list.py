@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import bpy
 
 from hnf_core.action.primitives import PRIMITIVES
 
+from ..props.listed import STROKES
+from ..props.scene import listed_strokes
 from ..state.session import STATE
 from ..translations import tr
 from .layout import characters, line_px
@@ -68,15 +71,27 @@ class HNF_UL_strokes(bpy.types.UIList):  # type: ignore[misc]  # noqa: N801
         switches.prop(obj.hnf_stroke, "mute", text="", icon=mute, emboss=False)
 
     def filter_items(self, _context: Any, data: Any, name: str) -> tuple[list[int], list[int]]:
-        """The scene's strokes, those whose name matches what is searched for."""
-        objects = getattr(data, name)
-        wanted = self.filter_name.lower()
-        shown = [
-            self.bitflag_filter_item if obj.hnf_stroke.is_stroke and wanted in obj.name.lower() else 0
-            for obj in objects
-        ]
-        order = bpy.types.UI_UL_list.sort_items_by_name(objects, "name")
-        return shown, order
+        """The scene's strokes, those whose name matches what is searched for, sorted by name."""
+        numbered, wanted = STROKES.numbered(data), self.filter_name.lower()
+        shown = [0] * len(getattr(data, name))
+        for at, obj in numbered:
+            if wanted in obj.name.lower():
+                shown[at] = self.bitflag_filter_item
+        return shown, new_order([obj.name.lower() for _, obj in numbered], [at for at, _ in numbered], len(shown))
+
+
+def new_order(names: Sequence[str], places: Sequence[int], count: int) -> list[int]:
+    """For each of count places its new one: the named ones sorted in front, all others behind as they were.
+
+    names: of those at places, which ascend. Blender's own sorts every object of the scene by its name, at each redraw.
+    """
+    order, begin, behind = [0] * count, 0, len(places)
+    for end in (*places, count):
+        order[begin:end] = range(behind, behind + end - begin)
+        begin, behind = end + 1, behind + end - begin
+    for rank, index in enumerate(sorted(range(len(places)), key=names.__getitem__)):
+        order[places[index]] = rank
+    return order
 
 
 def name_share(row_px: float) -> float:
@@ -88,7 +103,7 @@ def is_solo(scene: Any, stroke: Any) -> bool:
     """Is it the only stroke of several that is not muted?"""
     if stroke.hnf_stroke.mute:
         return False
-    others = (obj.hnf_stroke.mute for obj in scene.objects if obj.hnf_stroke.is_stroke and obj != stroke)
+    others = (obj.hnf_stroke.mute for obj in listed_strokes(scene) if obj != stroke)
     return bool(next(others, False)) and all(others)
 
 

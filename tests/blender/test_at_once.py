@@ -12,7 +12,7 @@ from hnf_blender import handlers, preview
 from hnf_blender.jobs import running
 from hnf_blender.preview.facts import PREVIEW
 from hnf_blender.preview.hearing import Listener
-from hnf_blender.props.listed import LISTED
+from hnf_blender.props.listed import NEWS
 from hnf_blender.state.guard import own_changes
 from hnf_blender.ui import overlay
 
@@ -22,10 +22,10 @@ def told():
     """Blender tells the overlay of changes, as in a window, after it told those who note them."""
     listed = bpy.app.handlers.depsgraph_update_post
     listed += [handlers.note_changes, overlay._changed]
-    LISTED.is_told = True
+    NEWS.is_told = True
     yield
-    LISTED.is_told = False
-    LISTED.forget()
+    NEWS.is_told = False
+    NEWS.forget()
     for each in (handlers.note_changes, overlay._changed):
         listed.remove(each)
     if bpy.app.timers.is_registered(overlay._refresh):

@@ -40,6 +40,7 @@ def test_every_kind_of_call_is_seen_and_nothing_is_left():
     rows = {row.method: row for row in responsiveness.rows(Options(repeats=1, quick=True))}
     assert {
         "save a copy", "start", "cancel", "handler", "look at what changed", "tick, child at work", "tick, commit",
+        "draw the tab",
     } <= rows.keys()  # fmt: skip
     assert rows["handler"].seconds.count > 1
     assert rows["tick, child at work"].seconds.count > 1

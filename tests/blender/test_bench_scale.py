@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import bpy
+
 from hnf_blender.bench import scale
+from hnf_blender.bench.hollow import draw_tab, tab_on
+from hnf_blender.bench.scale_scenes import crowd, empty_file, plate, strokes
+from hnf_blender.bridge.splat_cloud import TOUCHABLE
+from hnf_blender.props.listed import STROKES
 from hnf_core.bench.frame import Options
 from hnf_core.bench.growth import grown
 
@@ -25,3 +31,33 @@ def test_work_follows_what_is_touched(tmp_path):
     assert (apart["renders"], apart["F_Θ calls"], apart["rays"]) == (2, 2, 2 * close_up["rays"])
     assert (shared["renders"], shared["F_Θ calls"]) == (1, 2)
     assert shared["rays"] < 1.01 * close_up["rays"]
+
+
+def looks_of_a_redraw(monkeypatch, others: int) -> int:
+    """Objects that are looked at while the tab is drawn a second time."""
+    empty_file()
+    strokes(2, plate(8), apart=False, length_m=0.01)
+    crowd(others, own_meshes=False)
+    scene, layer, seen = bpy.context.scene, bpy.context.view_layer, []
+    layer.update()
+    for listed in (STROKES, TOUCHABLE):
+        is_one = listed._is_one
+        monkeypatch.setattr(listed, "_is_one", lambda obj, is_one=is_one: seen.append(obj.name) or is_one(obj))
+    with tab_on():
+        assert draw_tab(scene, layer) > 10
+        assert len(seen) >= 2 * len(scene.objects)
+        seen.clear()
+        draw_tab(scene, layer)
+    assert set(seen) == {"Stroke 0", "Stroke 1"}
+    return len(seen)
+
+
+def test_a_redraw_looks_at_strokes_alone(monkeypatch):
+    assert looks_of_a_redraw(monkeypatch, 1) == looks_of_a_redraw(monkeypatch, 40)
+
+
+def test_the_cost_of_a_redraw_is_a_line_of_its_own():
+    options = Options(repeats=1, quick=True)
+    for line in scale.panels(options):
+        (row,) = grown("scale", line, options)
+        assert row.seconds.median > 0.0, row

@@ -10,8 +10,8 @@ from job_scene import PLATE, line_stroke, small_scene
 from hnf_blender import handlers, preview
 from hnf_blender.jobs import running
 from hnf_blender.preview.facts import PREVIEW
-from hnf_blender.props.listed import LISTED
-from hnf_blender.props.scene import listed_strokes, strokes_of
+from hnf_blender.props.listed import NEWS, STROKES
+from hnf_blender.props.scene import has_strokes, listed_strokes, strokes_of
 from hnf_blender.state import picked, watch
 from hnf_blender.state.guard import own_changes
 from hnf_blender.state.session import STATE, Freshness, StrokeStatus
@@ -29,10 +29,10 @@ def noting():
     listed = bpy.app.handlers.depsgraph_update_post
     listed.append(handlers.note_changes)
     watch.forget()
-    LISTED.is_told = True
+    NEWS.is_told = True
     yield
-    LISTED.is_told = False
-    LISTED.forget()
+    NEWS.is_told = False
+    NEWS.forget()
     listed.remove(handlers.note_changes)
     watch.forget()
 
@@ -317,17 +317,24 @@ def test_the_list_of_strokes_is_scanned_once_and_always_true(noting, monkeypatch
         return [obj.name for obj in listed_strokes(scene)]
 
     assert listed() == ["Along"]
-    held = dict(LISTED._places)
+    held = dict(STROKES._places)
     assert listed() == ["Along"]
-    assert LISTED._places == held
+    assert STROKES._places == held
     beside = line_stroke("Beside", surface=plate)
     assert set(listed()) == {"Along", "Beside"}
     beside.hnf_stroke.is_stroke = False  # of which Blender tells nothing
     assert listed() == ["Along"]
     bpy.data.objects.remove(bpy.data.objects["Along"])
     assert listed() == []
+    assert not has_strokes(scene)
     beside.hnf_stroke.is_stroke = True  # nor of this; it is seen as soon as the list is old, and at once by operators
     assert strokes_of(scene) == [beside]
+    monkeypatch.setattr("hnf_blender.props.scene.A_REDRAW_S", 0.0)
+    assert has_strokes(scene)
+    assert listed() == ["Beside"]
+    beside.hnf_stroke.is_stroke = False
+    assert listed() == []
+    beside.hnf_stroke.is_stroke = True
     monkeypatch.setattr("hnf_blender.props.listed.HOLDS_S", 0.0)
     assert listed() == ["Beside"]
 

@@ -1,0 +1,95 @@
+"""What the Touch tab's Python takes when Blender draws it: every panel's poll and draw, into a hollow layout."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import SimpleNamespace
+from typing import Any
+
+SIDEBAR_PX = 340
+IN_VIEW = 5
+"""Lines of the list of strokes."""
+
+
+class Hollow:
+    """A UILayout, or the properties of a button, that takes everything and keeps nothing."""
+
+    def __getattr__(self, _name: str) -> Any:
+        return self._taken
+
+    def __setattr__(self, _name: str, _value: Any) -> None:
+        """Kept nowhere."""
+
+    def _taken(self, *_values: Any, **_named: Any) -> Hollow:
+        return self
+
+
+@contextmanager
+def tab_on() -> Iterator[None]:
+    """As in a window: the tab's buttons and panels are registered (their poll() asks for each other), and changes are
+    told of; the caller passes Blender's on to note_changes()."""
+    import bpy
+
+    from .. import ops, ui
+    from ..props.listed import NEWS
+
+    rooms = () if hasattr(bpy.types, "HNF_PT_scene") else (ops, ui)
+    for room in rooms:
+        room.register()
+    was_told, NEWS.is_told = NEWS.is_told, True
+    try:
+        yield
+    finally:
+        NEWS.is_told = was_told
+        NEWS.forget()
+        for room in reversed(rooms):
+            room.unregister()
+
+
+def draw_tab(scene: Any, layer: Any) -> int:
+    """As Blender does when the sidebar is redrawn, with every panel open; how many panels were drawn."""
+    import bpy
+
+    from ..props.scene import listed_strokes
+    from ..rooms import classes_of
+    from ..ui import MODULES
+    from ..ui.stroke_list import HNF_UL_strokes
+
+    context, layout = _context(scene, layer), Hollow()
+    panels = [
+        each
+        for each in classes_of(f"{__package__.rpartition('.')[0]}.ui", MODULES)
+        if issubclass(each, bpy.types.Panel) and (not hasattr(each, "poll") or each.poll(context))
+    ]
+    for each in panels:
+        for name in ("draw_header", "draw"):
+            if hasattr(each, name):
+                getattr(each, name)(SimpleNamespace(layout=layout, bl_rna=each.bl_rna), context)
+    listed: Any = SimpleNamespace(filter_name="", bitflag_filter_item=1)
+    HNF_UL_strokes.filter_items(listed, context, scene, "objects")
+    for index, obj in enumerate(listed_strokes(scene)[:IN_VIEW]):
+        HNF_UL_strokes.draw_item(listed, context, layout, scene, obj, 0, scene.hnf, "stroke_index", index)
+    return len(panels)
+
+
+def _context(scene: Any, layer: Any) -> Any:
+    """bpy.context has no region outside a window."""
+    import bpy
+
+    context = bpy.context
+    return SimpleNamespace(
+        scene=scene,
+        view_layer=layer,
+        window_manager=context.window_manager,
+        workspace=context.workspace,
+        screen=context.screen,
+        window=context.window,
+        area=None,
+        mode=context.mode,
+        object=layer.objects.active,
+        active_object=layer.objects.active,
+        selected_objects=list(layer.objects.selected),
+        region=SimpleNamespace(width=SIDEBAR_PX),
+        preferences=SimpleNamespace(addons=context.preferences.addons, system=SimpleNamespace(ui_scale=1.0)),
+    )
