@@ -20,6 +20,8 @@ PARTS = frozenset({"Object", "Curve", "Action"})
 """Kinds of datablocks that a stroke consists of."""
 SETTINGS = ("start", "force", "progress", "law", "speed_mm_s", "duration_s", "seed", "probe", "material")
 AT_A_TIME = 8
+FEW = 8
+"""Names that are looked for one by one."""
 BUDGET_S = 0.04
 """No new look begins in a tick after this. One look, of the shape of 100,000 faces, may take as long again."""
 
@@ -274,5 +276,8 @@ def _has_unknown(names: set[str]) -> bool:
     """Is a name among them that says nothing of whom it concerns (an image, a node group)?"""
     import bpy
 
-    known = (bpy.data.objects, bpy.data.meshes, bpy.data.curves, bpy.data.materials, bpy.data.actions)
-    return any(all(name not in kind for kind in known) for name in names)
+    left = names
+    for kind in (bpy.data.objects, bpy.data.meshes, bpy.data.curves, bpy.data.materials, bpy.data.actions):
+        # Blender goes through all datablocks for each name.
+        left = left.difference(kind.keys()) if len(left) > FEW else {name for name in left if name not in kind}
+    return bool(left)

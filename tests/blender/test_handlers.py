@@ -339,6 +339,15 @@ def test_the_list_of_strokes_is_scanned_once_and_always_true(noting, monkeypatch
     assert listed() == ["Beside"]
 
 
+@pytest.mark.parametrize("count", [1, watch.FEW, 5 * watch.FEW])
+def test_one_name_that_is_nobodys_is_found_among_few_and_many(count) -> None:
+    small_scene()
+    names = {bpy.data.objects.new(f"Other {k}", None).name for k in range(count)}
+    assert not watch._has_unknown(names)
+    assert not watch._has_unknown(names | {bpy.data.meshes[0].name, bpy.data.curves[0].name})
+    assert watch._has_unknown(names | {bpy.data.images.new("Picture", 1, 1).name})
+
+
 def test_edit_mode_is_waited_for(noting) -> None:
     plate, _ = baked_scene()
     bpy.context.view_layer.objects.active = plate
