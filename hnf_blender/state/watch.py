@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..translations import tr
 from .guard import own_changes
+from .names import absent
 from .session import STATE, Freshness, StrokeStatus
 
 if TYPE_CHECKING:
@@ -20,8 +21,6 @@ PARTS = frozenset({"Object", "Curve", "Action"})
 """Kinds of datablocks that a stroke consists of."""
 SETTINGS = ("start", "force", "progress", "law", "speed_mm_s", "duration_s", "seed", "probe", "material")
 AT_A_TIME = 8
-FEW = 8
-"""Names that are looked for one by one."""
 BUDGET_S = 0.04
 """No new look begins in a tick after this. One look, of the shape of 100,000 faces, may take as long again."""
 
@@ -278,6 +277,5 @@ def _has_unknown(names: set[str]) -> bool:
 
     left = names
     for kind in (bpy.data.objects, bpy.data.meshes, bpy.data.curves, bpy.data.materials, bpy.data.actions):
-        # Blender goes through all datablocks for each name.
-        left = left.difference(kind.keys()) if len(left) > FEW else {name for name in left if name not in kind}
+        left = absent(left, kind)
     return bool(left)

@@ -1,11 +1,12 @@
 """Strokes drawn over the 3-D view: paths coloured by force, direction ticks, start, and the contact at the playhead.
 
 A few changed strokes are computed where Blender tells of the change, before it draws: then it draws once. Many are
-left to a timer that runs once. Drawing only draws.
+left to a timer, a part of them at a time. Drawing only draws.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ from bpy.app.handlers import persistent
 from ..bridge.temporary import SCENE_NAME
 from ..prefs import settings
 from ..props.scene import active_stroke, listed_strokes, strokes_of
+from ..state.names import absent
 from ..state.redraw import redraw_views
 from ..state.session import STATE
 from ..state.watch import changed_names, parts_of
@@ -27,6 +29,8 @@ FEW = 4
 """Strokes that a redraw can wait for: 2 ms each."""
 SOON_S = 0.05
 """For more of them: a drag makes many changes, and only the last within this time is computed."""
+BUDGET_S = 0.04
+"""No other stroke is begun in a tick after this; after an undo all of them are computed."""
 
 
 @dataclass
@@ -102,16 +106,22 @@ def _rate(scene: Any) -> tuple[object, ...]:
 
 
 @persistent  # type: ignore[untyped-decorator]
+def _undone(*_arguments: Any) -> None:
+    """Undo or redo: nothing kept is known to hold; it is drawn until the timer has come to it."""
+    _everything()
+
+
+@persistent  # type: ignore[untyped-decorator]
 def _reloaded(*_arguments: Any) -> None:
-    """Undo, redo or another file: nothing kept is known to hold."""
+    """Another file."""
     _forget_all()
     _everything()
 
 
 HANDLERS = (
     ("depsgraph_update_post", _changed),
-    ("undo_post", _reloaded),
-    ("redo_post", _reloaded),
+    ("undo_post", _undone),
+    ("redo_post", _undone),
     ("load_post", _reloaded),
 )
 
@@ -126,25 +136,29 @@ def _soon() -> None:
         bpy.app.timers.register(_refresh, first_interval=SOON_S)
 
 
-def _refresh() -> None:
-    """Timer, once: compute what has changed in the scenes that the windows show."""
+def _refresh() -> float | None:
+    """Timer: compute what has changed in the scenes that the windows show, until nothing is left or for BUDGET_S."""
     context = bpy.context
+    until = time.monotonic() + BUDGET_S
     shown = {window.scene.name: window for window in context.window_manager.windows}
     strokes = {name: strokes_of(window.scene) for name, window in shown.items()}
-    for name in set(OVERLAY.paths) - {obj.name for each in strokes.values() for obj in each}:
+    names = {obj.name for each in strokes.values() for obj in each}
+    for name in set(OVERLAY.paths) - names:
         _forget(name)
+    OVERLAY.dirty = names if OVERLAY.all_dirty else names & OVERLAY.dirty | names - OVERLAY.paths.keys()
+    OVERLAY.all_dirty = False
     for name, window in shown.items():
-        dirty = [obj for obj in strokes[name] if _is_dirty(obj.name)]
+        dirty = [obj for obj in strokes[name] if obj.name in OVERLAY.dirty]
         if dirty:
             with context.temp_override(window=window):
-                _compute(dirty, window.scene, bpy.context.evaluated_depsgraph_get())
-    OVERLAY.all_dirty = False
-    OVERLAY.dirty.clear()
+                depsgraph = bpy.context.evaluated_depsgraph_get()
+                for obj in dirty:
+                    _compute([obj], window.scene, depsgraph)
+                    OVERLAY.dirty.discard(obj.name)
+                    if time.monotonic() > until:
+                        break
     redraw_views()
-
-
-def _is_dirty(name: str) -> bool:
-    return OVERLAY.all_dirty or name in OVERLAY.dirty or name not in OVERLAY.paths
+    return 0.0 if OVERLAY.dirty else None
 
 
 def _compute(strokes: Sequence[Any], scene: Any, depsgraph: Any) -> None:
@@ -167,14 +181,13 @@ def _draw() -> None:
 
     from . import overlay_gpu
 
-    shown = []
-    for name, path in OVERLAY.paths.items():
-        if name not in bpy.data.objects:
-            _everything()  # renamed or deleted
-            continue
-        obj = scene.objects.get(name)
-        if obj is not None and path is not None and obj.visible_get(viewport=space):
-            shown.append((obj, path))
+    held = {obj.name: obj for obj in listed_strokes(scene)}
+    if absent(OVERLAY.paths.keys() - held.keys(), bpy.data.objects):
+        _everything()  # renamed or deleted
+    drawn = ((held.get(name), path) for name, path in OVERLAY.paths.items())
+    shown = [
+        (obj, path) for obj, path in drawn if obj is not None and path is not None and obj.visible_get(viewport=space)
+    ]
     active = active_stroke(context)
     view = overlay_gpu.View(context.region_data, context.region)
     for obj, path in shown:

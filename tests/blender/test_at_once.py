@@ -40,9 +40,17 @@ def some_strokes(count: int) -> list[bpy.types.Object]:
     for stroke in found:
         key(stroke, "force", (1, 0.5), (25, 2.0))
     bpy.context.view_layer.update()
-    overlay._refresh()
+    refreshed()
     bpy.app.timers.unregister(overlay._refresh)
     return found
+
+
+def refreshed() -> int:
+    """How many ticks it took."""
+    ticks = 1
+    while overlay._refresh() is not None:
+        ticks += 1
+    return ticks
 
 
 def press(stroke: bpy.types.Object, newtons: float) -> None:
@@ -86,9 +94,23 @@ def test_many_changed_strokes_wait_for_the_timer(told) -> None:
     bpy.context.view_layer.update()
     assert bpy.app.timers.is_registered(overlay._refresh)
     kept = dict(overlay.OVERLAY.paths)
-    overlay._refresh()
+    refreshed()
     assert all(overlay.OVERLAY.paths[name] is not kept[name] for name in kept)
     assert len(kept) == len(strokes)
+
+
+def test_after_an_undo_all_are_computed_a_part_at_a_time_and_drawn_meanwhile(told, monkeypatch) -> None:
+    strokes = some_strokes(3)
+    kept = dict(overlay.OVERLAY.paths)
+    monkeypatch.setattr(overlay, "BUDGET_S", 0.0)
+    overlay._undone()
+    assert overlay.OVERLAY.paths == kept
+    assert overlay._refresh() == 0.0
+    assert [name for name, path in overlay.OVERLAY.paths.items() if path is not kept[name]] == [strokes[0].name]
+    assert refreshed() == 2
+    assert not any(path is kept[name] for name, path in overlay.OVERLAY.paths.items())
+    overlay._reloaded()
+    assert overlay.OVERLAY.paths == {}
 
 
 def test_a_deleted_stroke_is_forgotten_with_the_next_look_at_all(told) -> None:
@@ -96,7 +118,7 @@ def test_a_deleted_stroke_is_forgotten_with_the_next_look_at_all(told) -> None:
     name = second.name
     bpy.data.objects.remove(first)
     overlay._everything()
-    overlay._refresh()
+    refreshed()
     assert list(overlay.OVERLAY.paths) == [name]
 
 

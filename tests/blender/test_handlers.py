@@ -14,6 +14,7 @@ from hnf_blender.props.listed import NEWS, STROKES
 from hnf_blender.props.scene import has_strokes, listed_strokes, strokes_of
 from hnf_blender.state import picked, watch
 from hnf_blender.state.guard import own_changes
+from hnf_blender.state.names import FEW
 from hnf_blender.state.session import STATE, Freshness, StrokeStatus
 from hnf_blender.state.watch import EVERYTHING, refresh_status
 
@@ -339,7 +340,7 @@ def test_the_list_of_strokes_is_scanned_once_and_always_true(noting, monkeypatch
     assert listed() == ["Beside"]
 
 
-@pytest.mark.parametrize("count", [1, watch.FEW, 5 * watch.FEW])
+@pytest.mark.parametrize("count", [1, FEW, 5 * FEW])
 def test_one_name_that_is_nobodys_is_found_among_few_and_many(count) -> None:
     small_scene()
     names = {bpy.data.objects.new(f"Other {k}", None).name for k in range(count)}
