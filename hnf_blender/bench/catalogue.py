@@ -24,6 +24,12 @@ def _authoring(options: Options) -> list[Row]:
     return rows(options)
 
 
+def _bake(options: Options) -> list[Row]:
+    from .bake import rows
+
+    return rows(options)
+
+
 def _views(options: Options) -> list[Row]:
     from .views import rows
 
@@ -52,6 +58,7 @@ BENCHES = (
     Bench("enable", "switching the add-on on, beside `import numpy`", _enable),
     Bench("responsiveness", "what a window waits for while 100,000 faces bake", _responsiveness),
     Bench("authoring", "what a window waits for when a stroke is drawn or placed on 100,000 faces", _authoring),
+    Bench("bake", "a bake cold, with close-ups kept, and where nothing changed: time, memory, error", _bake),
     Bench("views", "RGB-D of the same cameras: ours and BlenderProc's way, time and error; patches, depth", _views),
     Bench(SCALE, "cost against objects, faces, strokes, seconds, materials: time, memory, work, exponents", _scale),
     *(bench for bench in OF_THE_CORE if bench.name not in {STARTUP, SCALE}),

@@ -9,18 +9,19 @@ import build_extension
 import pytest
 from job_scene import my_folders
 
-from hnf_blender.bench import authoring, enable, responsiveness
+from hnf_blender.bench import authoring, bake, enable, responsiveness
 from hnf_blender.bench.catalogue import BENCHES
 from hnf_blender.cli import main
 from hnf_blender.jobs import current
 from hnf_blender.state.session import STATE
+from hnf_blender.touch.bake import PATCH_PIXELS
 from hnf_core.bench.frame import Options
 
 
 def test_every_bench_has_a_name_of_its_own():
     names = [bench.name for bench in BENCHES]
     assert len(set(names)) == len(names)
-    assert {"enable", "responsiveness", "authoring", "preview"} <= set(names)
+    assert {"enable", "responsiveness", "authoring", "preview", "bake"} <= set(names)
 
 
 def test_switching_the_add_on_on_loads_nothing_heavy():
@@ -49,6 +50,24 @@ def test_every_kind_of_call_is_seen_and_nothing_is_left():
     assert not current.is_running()
     assert my_folders() == []
     assert (STATE.job, STATE.strokes, STATE.dirty) == (None, {}, set())
+
+
+def test_a_bake_is_told_with_its_error_in_every_way():
+    fine, *ways = bake.rows(Options(repeats=1, quick=True))
+    assert fine.error is None
+    rows = {row.method: row for row in ways}
+    assert rows.keys() == {"cold, 64 pixels", "cold, 128 pixels", "close-ups kept", "nothing changed"}
+    usual = rows["cold, 128 pixels"]
+    assert rows["cold, 64 pixels"].error > usual.error
+    assert rows["close-ups kept"].error == rows["nothing changed"].error == usual.error < -10.0
+    assert usual.ratio is None
+    assert rows["close-ups kept"].ratio_to == rows["nothing changed"].ratio_to == usual.method
+    assert my_folders() == []
+
+
+def test_what_is_shipped_is_among_the_sizes():
+    assert bake.USUAL == PATCH_PIXELS
+    assert bake.USUAL in bake.PIXELS
 
 
 def test_the_command_line_knows_them(capsys):
