@@ -14,10 +14,13 @@ import torch
 from numpy.typing import NDArray
 
 from hnf_core.action.smooth import wandering_action
+from hnf_core.actuators.limiter import Limiter
+from hnf_core.actuators.profile import GENERIC
 from hnf_core.field.features import Inputs, build_inputs
 from hnf_core.field.field import LOG_AMPLITUDE_CEILING, Emission, Field, accumulate
 from hnf_core.field.linear_contact import Condition
 from hnf_core.field.lines import GAINS, line_power
+from hnf_core.field.resampling import resample
 from hnf_core.field.stroke import StrokeInput, uniform_stroke
 from hnf_core.field.synthesis import prepare, render_block
 from hnf_core.field.timeline import condition_of, states_of
@@ -29,7 +32,11 @@ from hnf_core.material.probe import PROBES
 from hnf_core.material.token import LEVELS
 from hnf_core.scene.mesh import TriangleMesh
 from hnf_core.scene.raycast import ReferenceGeometry
+from hnf_core.tactile.diffusion.network import network_of
+from hnf_core.tactile.diffusion.predict import predict_slopes
+from hnf_core.tactile.diffusion.weights import load_map_weights
 from hnf_core.tactile.height import tactile_map_from_height
+from hnf_core.tactile.views import PITCHES_M, VIEW_PIXELS, LookView
 from hnf_core.training.model import FieldNetwork
 
 Float = NDArray[np.float64]
@@ -54,6 +61,8 @@ def agreement_rows(field: Field) -> Iterator[tuple[str, ...]]:
     stroke = example_stroke()
     yield "ray cast", "vertices, origins, directions; 1 m", *(ray_error(dtype) for dtype in TYPES)
     yield "E", "the sensor image", *(token_error(dtype) for dtype in TYPES)
+    for what in ("its picture", "its weights"):
+        yield "D_φ", what, *(map_error(dtype, what) for dtype in TYPES)
     yield "linear contact", "stiffness, damping, force, frequency", *(contact_error(dtype) for dtype in TYPES)
     exact = emission_in(field, stroke, torch.float64)
     whole = heard(field, stroke, exact)
@@ -64,7 +73,13 @@ def agreement_rows(field: Field) -> Iterator[tuple[str, ...]]:
     coarse = [replace(stroke, tokens=rounded(stroke.tokens, dtype).astype(np.float32)) for dtype in TYPES]
     played = [heard(field, each, emission_in(field, each, torch.float64)) for each in coarse]
     off = [decibels(each, whole) for each in played]
-    yield "synthesis, end to end", "the token", *(f"{x:.0f} dB" if x > -np.inf else "what it is" for x in off)
+    yield "synthesis, end to end", "the token", *(told(x) for x in off)
+    yield "resampler, 10 to 48 kHz", "the signal", *(told(resampling_error(whole, dtype)) for dtype in TYPES)
+    yield "limiter, generic coil", "the signal", *(counts_error(whole, dtype) for dtype in TYPES)
+
+
+def told(off_db: float) -> str:
+    return f"{off_db:.0f} dB" if off_db > -np.inf else "what it is"
 
 
 def example_stroke(seconds: float = 2.0) -> StrokeInput:
@@ -154,6 +169,38 @@ def token_error(dtype: torch.dtype) -> str:
     known = exact.known[LEVELS]
     off = 20.0 * np.abs(found.values[LEVELS] - exact.values[LEVELS])[known].max()
     return "what it is" if off == 0.0 else f"{off:.0e} dB in a band"
+
+
+def map_error(dtype: torch.dtype, what: str) -> str:
+    """Of the slopes that D_φ predicts of a rough grey picture, in dB."""
+    weights, rng = load_map_weights(), np.random.default_rng(0)
+    grey = np.clip(0.5 + 0.05 * np.cumsum(rng.standard_normal((VIEW_PIXELS, VIEW_PIXELS, 1)), axis=1), 0.0, 1.0)
+    rgb = np.repeat(grey, 3, axis=2).astype(np.float32)
+    view = LookView(rgb, np.zeros((VIEW_PIXELS, VIEW_PIXELS), np.float32), False, PITCHES_M[0])
+    sensor = weights.config.sensors[0]
+    exact = predict_slopes(weights, view, sensor, 0)
+    if what == "its picture":
+        view = replace(view, rgb=rounded(rgb, dtype).astype(np.float32))
+    else:
+        kept = weights.network.parameters
+        narrow = {name: rounded(value, dtype).astype(np.float32) for name, value in kept.items()}
+        weights = replace(weights, network=network_of(weights.config, narrow))
+    return told(decibels(predict_slopes(weights, view, sensor, 0).astype(np.float64), exact.astype(np.float64)))
+
+
+def resampling_error(signal: Float, dtype: torch.dtype) -> float:
+    exact, _ = resample(signal, 10_000.0, 48_000.0)
+    return decibels(resample(rounded(signal, dtype), 10_000.0, 48_000.0)[0], exact)
+
+
+def counts_error(signal: Float, dtype: torch.dtype) -> str:
+    """Largest difference of what a wire would get."""
+    exact, found = (
+        Limiter(GENERIC.limits, 10_000.0, 1).process(each[:, None]).astype(np.int64)
+        for each in (signal, rounded(signal, dtype))
+    )
+    off = int(np.abs(found - exact).max())
+    return f"{off} of 32767 counts" if off else "what it is"
 
 
 def contact_error(dtype: torch.dtype) -> str:

@@ -26,6 +26,7 @@ from ..field.weights import load_field
 from ..material.library import find
 from .frame import Options, Row, Times, peak_mb
 from .synth_ar import autoregressive
+from .synth_narrow import has_bfloat16, in_bfloat16
 from .synth_table import Grid, read_table, tabulate
 
 Float = NDArray[np.float64]
@@ -134,6 +135,11 @@ def _methods(field: Field, stroke: StrokeInput) -> list[Method]:
         read = lambda _, condition: read_table(table, field, condition)  # noqa: E731
         return rendered(prepare(field, stroke, seed=seed, tolerance=0.01, emission=read))
 
+    def narrow(field: Field, stroke: StrokeInput, seed: int) -> Float:
+        return in_bfloat16(lambda: rendered(prepare(field, stroke, seed=seed)))
+
+    bfloat16 = Method("every state, bfloat16", narrow, note="F_Θ's layers, by torch; the rest as it is")
+
     def rival(_: Field, stroke: StrokeInput, seed: int) -> Float:
         return autoregressive(stroke.action, seed)
 
@@ -141,6 +147,7 @@ def _methods(field: Field, stroke: StrokeInput) -> list[Method]:
         Method("every 0.5 ms", partial(within, float("-inf")), note="F_Θ 2000 times a second"),
         Method("every state, plain carriers", plain, note="200 times a second, carriers band by band in float64"),
         Method(AS_IN_SCENES, partial(within, None), note="200 times a second; what scenes and previews use"),
+        *([bfloat16] if has_bfloat16() else []),
         *(Method(f"within {db:g} dB", partial(within, db), note="F_Θ where the action asks") for db in TOLERANCES_DB),
         Method("within -40 dB, carriers kept", partial(within, -40.0), cold=False, note="the same stroke once more"),
         Method("from a table, carriers kept", tabled, cold=False, note=f"{table.megabytes:.0f} MB for one material"),

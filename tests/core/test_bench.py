@@ -17,6 +17,9 @@ from hnf_core.bench.synth import ten_seconds
 from hnf_core.bench.synth_ar import autoregressive, made_up_texture
 from hnf_core.bench.table import duration, markdown
 from hnf_core.cli.main import build_parser, main
+from hnf_core.field import field as module
+from hnf_core.field import network
+from hnf_core.field.weights import load_field
 
 SPREAD = Spread.of([0.3, 0.1, 0.2])
 
@@ -178,6 +181,22 @@ def test_synthesis_has_a_row_for_every_way_and_an_error_beside_each(capsys):
     assert compared == [row for row in rows[1:] if row["method"] != "every state"]
     assert {row["ratio_to"] for row in compared} == {"every state"}
     assert all(row["ratio"] > 0.0 for row in compared)
+
+
+def test_layers_in_bfloat16_are_nearly_those_in_float32():
+    pytest.importorskip("torch")
+    from hnf_core.bench import synth_narrow
+
+    field = load_field()
+    x = np.random.default_rng(0).standard_normal((5, field.parameters["layer0.weight"].shape[1])).astype(np.float32)
+    plain = network.heads(field.parameters, field.config.layers, x)
+    narrow = synth_narrow.heads(field.parameters, field.config.layers, x)
+    for exact, found in zip(plain, narrow, strict=True):
+        assert found.dtype == np.float32
+        off = np.sqrt(np.mean(np.square(found - exact)) / np.mean(np.square(exact)))
+        assert 1e-5 < off < 2e-2
+    assert synth_narrow.in_bfloat16(lambda: module.heads) is synth_narrow.heads
+    assert module.heads is network.heads
 
 
 def test_ways_of_synthesis_take_turns_and_those_that_keep_carriers_find_their_own(monkeypatch):
