@@ -185,17 +185,17 @@ def test_synthesis_has_a_row_for_every_way_and_an_error_beside_each(capsys):
 
 def test_layers_in_bfloat16_are_nearly_those_in_float32():
     pytest.importorskip("torch")
-    from hnf_core.bench import synth_narrow
+    from hnf_core.bench.synth_narrow import in_bfloat16
+    from hnf_core.training import narrow
 
     field = load_field()
     x = np.random.default_rng(0).standard_normal((5, field.parameters["layer0.weight"].shape[1])).astype(np.float32)
     plain = network.heads(field.parameters, field.config.layers, x)
-    narrow = synth_narrow.heads(field.parameters, field.config.layers, x)
-    for exact, found in zip(plain, narrow, strict=True):
+    for exact, found in zip(plain, narrow.heads(field.parameters, field.config.layers, x), strict=True):
         assert found.dtype == np.float32
         off = np.sqrt(np.mean(np.square(found - exact)) / np.mean(np.square(exact)))
         assert 1e-5 < off < 2e-2
-    assert synth_narrow.in_bfloat16(lambda: module.heads) is synth_narrow.heads
+    assert in_bfloat16(lambda: module.heads) is narrow.heads
     assert module.heads is network.heads
 
 
