@@ -74,11 +74,10 @@ class EmbreeCaster:
         origins, directions = _rays(origins, directions)
         # A far camera's origin would be rounded to float32: start each ray where it enters the bounding sphere.
         local = self._frame.inside(origins)
-        length = np.linalg.norm(directions, axis=-1, keepdims=True)
-        unit = directions / np.where(length > 0.0, length, 1.0)
-        ahead = -np.sum(local * unit, axis=-1, keepdims=True)
-        skip = np.maximum(ahead - 1.01 * self._frame.radius * self._frame.scale, 0.0)
-        start = np.ascontiguousarray(local + skip * unit, dtype=np.float32)
+        length = np.sqrt(_dot(directions, directions))
+        unit = directions / np.where(length > 0.0, length, 1.0)[:, None]
+        skip = np.maximum(-_dot(local, unit) - 1.01 * self._frame.radius * self._frame.scale, 0.0)
+        start = np.ascontiguousarray(local + skip[:, None] * unit, dtype=np.float32)
         if len(start) == 0 or len(self._kept) == 0:
             return _no_hits(len(start))
         found = self._scene.run(start, np.ascontiguousarray(unit, dtype=np.float32), output=True)
@@ -101,9 +100,10 @@ class ReferenceGeometry:
 
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
         origins, directions = _rays(origins, directions)
-        chosen = np.full(len(origins), -1, dtype=np.int32)
+        chosen, planes = np.full(len(origins), -1, dtype=np.int32), _planes(self._corners)
         for index in range(len(origins)):
-            distance, weights = _plane_hits(self._corners, origins[index], directions[index])
+            origin, direction = (np.broadcast_to(each[index], planes[0].shape) for each in (origins, directions))
+            distance, weights = _plane_hits(*planes, origin, direction)
             valid = (weights >= 0.0).all(axis=-1) & (distance >= 0.0)
             if valid.any():
                 chosen[index] = np.argmin(np.where(valid, distance, np.inf))
@@ -133,7 +133,7 @@ def cast_view(caster: RayCaster, mesh: TriangleMesh, camera: Camera) -> CastView
     triangle = np.where(seen, hits.triangle, -1).astype(np.int32)
     barycentric = np.where(seen[:, None], hits.barycentric, 0.0)
     normal = np.einsum("nc,ncx->nx", barycentric, mesh.normals[triangle])
-    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    length = np.sqrt(_dot(normal, normal))[:, None]
     return CastView(
         depth=np.where(seen, depth, np.inf).reshape(shape),
         triangle=triangle.reshape(shape),
@@ -157,14 +157,13 @@ def closest_barycentric(corners: Float, points: Float) -> Float:
     The nearest point is the foot on the plane where that lies inside, else the nearest of the three edges' feet.
     """
     origin = corners[:, 0]
-    first, second = corners[:, 1] - origin, corners[:, 2] - origin
-    normal = np.cross(first, second)
-    inside = _weights(first, second, normal, points - origin)
+    _, normal, *towards = _planes(corners)
+    inside = _weights((towards[0], towards[1]), points - origin)
     candidates = [_edge_weights(corners, points, start) for start in range(3)]
     feet = np.stack([np.einsum("nc,ncx->nx", weights, corners) for weights in candidates], axis=1)
     nearest = np.argmin(np.sum((feet - points[:, None]) ** 2, axis=-1), axis=1)
     edge = np.stack(candidates, axis=1)[np.arange(len(points)), nearest]
-    flat = np.sum(normal * normal, axis=-1) <= 0.0
+    flat = _dot(normal, normal) <= 0.0
     return np.where((inside >= 0.0).all(axis=-1)[:, None] & ~flat[:, None], inside, edge)
 
 
@@ -179,39 +178,64 @@ def _edge_weights(corners: Float, points: Float, start: int) -> Float:
     return weights
 
 
-def _weights(first: Float, second: Float, normal: Float, offset: Float) -> Float:
-    """Barycentric weights of offset from corner 0, projected on the triangle's plane."""
-    square = np.sum(normal * normal, axis=-1)
-    square = np.where(square > 0.0, square, 1.0)
-    v = np.sum(np.cross(offset, second) * normal, axis=-1) / square
-    w = np.sum(np.cross(first, offset) * normal, axis=-1) / square
+def _dot(one: Float, other: Float) -> Float:
+    """(n,) products of rows (n, 3)."""
+    return np.asarray(np.einsum("nx,nx->n", one, other))
+
+
+def _planes(corners: Float) -> tuple[Float, Float, Float, Float]:
+    """Of each triangle (T, 3, 3): corner 0, normal (as long as twice its area), and the two vectors whose products with
+    an offset from corner 0 are its barycentric weights of corners 1 and 2; (T, 3) each."""
+    origin = corners[:, 0]
+    first, second = corners[:, 1] - origin, corners[:, 2] - origin
+    normal = np.cross(first, second)
+    square = _dot(normal, normal)
+    square = np.where(square > 0.0, square, 1.0)[:, None]
+    return origin, normal, np.cross(second, normal) / square, np.cross(normal, first) / square
+
+
+def _weights(towards: tuple[Float, Float], offset: Float) -> Float:
+    """Barycentric weights (n, 3) of offsets from corner 0, projected on the triangles' planes. towards: of _planes."""
+    v, w = _dot(offset, towards[0]), _dot(offset, towards[1])
     return np.stack([1.0 - v - w, v, w], axis=-1)
 
 
-def _plane_hits(corners: Float, origins: Float, directions: Float) -> tuple[Float, Float]:
-    """Ray parameter and barycentric weights on the planes of the triangles, elementwise; inf where parallel."""
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(first, second)
-    facing = np.sum(directions * normal, axis=-1)
+def _plane_hits(
+    origin: Float, normal: Float, second: Float, third: Float, origins: Float, directions: Float
+) -> tuple[Float, Float]:
+    """Ray parameter and barycentric weights on planes as of _planes, elementwise; inf where parallel."""
+    facing = _dot(directions, normal)
     parallel = facing == 0.0
-    gap = np.sum((corners[:, 0] - origins) * normal, axis=-1)
-    distance = np.where(parallel, np.inf, gap / np.where(parallel, 1.0, facing))
+    distance = np.where(parallel, np.inf, _dot(origin - origins, normal) / np.where(parallel, 1.0, facing))
     reach = np.where(parallel, 0.0, distance)
-    weights = _weights(first, second, normal, origins + reach[:, None] * directions - corners[:, 0])
+    weights = _weights((second, third), origins + reach[:, None] * directions - origin)
     return distance, np.where(parallel[:, None], -1.0, weights)
 
 
 def refine_hits(corners: Float, triangle: Int, origins: Float, directions: Float) -> Hits:
     """Distance and barycentrics in float64 for triangles already chosen."""
     hits = _no_hits(len(triangle))
-    hit = np.flatnonzero(triangle >= 0)
-    distance, weights = _plane_hits(corners[triangle[hit]], origins[hit], directions[hit])
+    met_any = triangle >= 0
+    hit = slice(None) if met_any.all() else np.flatnonzero(met_any)
+    # What a triangle is counts once, however many rays meet it.
+    met, which = _distinct(triangle[hit], len(corners))
+    origin, normal, second, third = np.stack(_planes(corners[met]), axis=1)[which].swapaxes(0, 1)
+    distance, weights = _plane_hits(origin, normal, second, third, origins[hit], directions[hit])
     real = np.isfinite(distance)  # a ray in the plane of its triangle has no crossing
-    hit, weights = hit[real], np.clip(weights[real], 0.0, None)  # rounding may leave an edge by 1e-7
-    hits.triangle[hit] = triangle[hit]
-    hits.distance[hit] = distance[real]
-    hits.barycentric[hit] = weights / weights.sum(axis=-1, keepdims=True)
+    np.maximum(weights, 0.0, out=weights)  # rounding may leave an edge by 1e-7
+    total = weights[:, 0] + weights[:, 1] + weights[:, 2]
+    hits.triangle[hit] = np.where(real, triangle[hit], -1)
+    hits.distance[hit] = np.where(real, distance, np.inf)
+    hits.barycentric[hit] = np.where(real[:, None], weights / np.where(real, total, 1.0)[:, None], 0.0)
     return hits
+
+
+def _distinct(triangle: Int, count: int) -> tuple[Any, NDArray[np.integer[Any]]]:
+    """Of count triangles those that occur, or all where they are few; and for each entry its place among them."""
+    if count < len(triangle):
+        return slice(None), triangle
+    met, which = np.unique(triangle, return_inverse=True)
+    return met, which.reshape(-1)
 
 
 def _no_hits(count: int) -> Hits:

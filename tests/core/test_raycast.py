@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hnf_core.errors import SceneError
 from hnf_core.scene.camera import Camera, orthographic
 from hnf_core.scene.mesh import TriangleMesh
-from hnf_core.scene.raycast import ReferenceGeometry, cast_view, closest_barycentric, embree_caster
+from hnf_core.scene.raycast import ReferenceGeometry, cast_view, closest_barycentric, embree_caster, refine_hits
 
 pytest.importorskip("embreex", reason="embreex is not installed here")
 
@@ -56,6 +56,39 @@ def test_embree_hits_what_trying_every_triangle_hits(seed, far):
     assert same[inner].mean() >= 0.98  # silhouettes: a float32 ray may pass an edge on the other side
     np.testing.assert_allclose(fast.distance[same], plain.distance[same], rtol=1e-12)
     np.testing.assert_allclose(fast.barycentric[same], plain.barycentric[same], atol=1e-9)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_a_hit_lies_on_its_triangle_and_does_not_depend_on_how_many_others_are_asked_for(seed):
+    random = np.random.default_rng(seed)
+    mesh = bumpy_ball(seed)
+    corners, count = mesh.corner_positions(), 3 * len(mesh.triangles)
+    triangle = random.integers(-1, len(mesh.triangles), count).astype(np.int32)
+    weights = random.dirichlet(np.ones(3), count)
+    origins, aims = random.standard_normal((count, 3)), np.einsum("nc,ncx->nx", weights, corners[triangle])
+    directions = (aims - origins) / random.uniform(0.2, 3.0, (count, 1))
+    hits = refine_hits(corners, triangle, origins, directions)
+    hit = triangle >= 0
+    np.testing.assert_array_equal(hits.triangle, triangle)
+    np.testing.assert_allclose((origins + hits.distance[:, None] * directions)[hit], aims[hit], atol=1e-11)
+    np.testing.assert_allclose(hits.barycentric[hit], weights[hit], atol=1e-6)
+    assert np.isinf(hits.distance[~hit]).all()
+    assert not hits.barycentric[~hit].any()
+    few = refine_hits(corners, triangle[:40], origins[:40], directions[:40])
+    assert (few.distance.tobytes(), few.barycentric.tobytes()) == (
+        hits.distance[:40].tobytes(),
+        hits.barycentric[:40].tobytes(),
+    )
+
+
+def test_a_ray_in_the_plane_of_its_triangle_meets_nothing():
+    corners = np.array([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]])
+    hits = refine_hits(corners, np.array([0, 0], np.int32), [[-1.0, 0.2, 0.0], [0.2, 0.2, 1.0]] * np.ones((2, 1)),
+                       np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -2.0]]))  # fmt: skip
+    assert hits.triangle.tolist() == [-1, 0]
+    assert hits.distance.tolist() == [np.inf, 0.5]
+    np.testing.assert_allclose(hits.barycentric, [[0.0, 0.0, 0.0], [0.6, 0.2, 0.2]])
 
 
 def test_a_hit_lies_on_its_ray_and_in_its_triangle():
