@@ -4,6 +4,8 @@ import hashlib
 import importlib
 import os
 import tempfile
+import threading
+import time
 from pathlib import Path
 
 import bpy
@@ -73,6 +75,25 @@ def kept() -> dict[str, object]:
 def short(data) -> str:
     """A digest of bytes kept in the file, "" of nothing."""
     return hashlib.blake2b(bytes(data), digest_size=6).hexdigest() if data is not None else ""
+
+
+class Ending:
+    """When no job and no child of this Blender runs any more. at: that moment (time.monotonic), or None.
+
+    A thread looks, every few milliseconds: the window's own timers come only when it has drawn.
+    """
+
+    STEP_S = 0.005
+
+    def __init__(self) -> None:
+        self.at: float | None = None
+        self._state = state()
+        threading.Thread(target=self._watch, name="hnf tests: ending", daemon=True).start()
+
+    def _watch(self) -> None:
+        while self._state.job is not None or children():
+            time.sleep(self.STEP_S)
+        self.at = time.monotonic()
 
 
 def children() -> list[int]:

@@ -6,7 +6,7 @@ import time
 
 import bpy
 from drive import scenery
-from drive.addon import baked, children, job_folders, kept, start_bake, state, strokes
+from drive.addon import Ending, baked, children, job_folders, kept, start_bake, state, strokes
 from drive.timing import Spent
 
 ALONE = "yes"  # it measures
@@ -62,12 +62,12 @@ def nothing_left(stage, before):
 def cancelled_at(stage, word, number):
     yield from bake_until(stage, word, number)
     before = kept()
+    ending, at = Ending(), stage.middle()
     pressed = time.monotonic()
-    at = stage.middle()
     stage.event("ESC", "PRESS", at)
-    while time.monotonic() < pressed + 10.0 and (state().job is not None or children()):
+    while time.monotonic() < pressed + 10.0 and ending.at is None:
         yield QUICK
-    took = time.monotonic() - pressed
+    took = (ending.at or time.monotonic()) - pressed
     stage.event("ESC", "RELEASE", at)
     stage.measured(f"ESC while {word} → nothing runs", took, "s")
     stage.expect("it stops at once", took < LONG_S, f"{took:.2f} s")
@@ -114,12 +114,17 @@ def check_kill_while_starting(stage):
     yield from killed_at(stage, "starting", 6)
 
 
+def check_kill_at_its_first_words(stage):
+    yield from killed_at(stage, BEGUN, 7)
+
+
 def check_kill_among_close_ups(stage):
-    yield from killed_at(stage, "close-ups", 7)
+    yield from killed_at(stage, "close-ups", 8)
 
 
 def check_kill_during_synthesis(stage):
-    yield from killed_at(stage, "synthesis", 8)
+    """The last stage that has a child: what follows is compared in the window's own process."""
+    yield from killed_at(stage, "synthesis", 9)
 
 
 def check_after_all_that_it_still_bakes(stage):
