@@ -19,6 +19,8 @@ WORDS = {
     PATH: "its path, its timing or the name of its surface",
     TOUCH: "its force, seed or probe",
 }
+SAME_SURFACE = "its path or its timing"
+"""What is left of PATH where the surface is called as it was."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +54,10 @@ class Inputs:
         """Of everything that the tokens on the mesh follow from, whatever strokes led there."""
         return content_hash(*self._without(TOUCH, PATH))
 
-    def changes(self, earlier: Inputs) -> tuple[str, ...]:
-        """What differs from earlier, in words."""
-        return tuple(word for name, word in WORDS.items() if getattr(self, name) != getattr(earlier, name))
+    def changes(self, earlier: Inputs, *, same_surface: bool = False) -> tuple[str, ...]:
+        """What differs from earlier, in words. same_surface: it is known that the surface is called as it was."""
+        words = WORDS | {PATH: SAME_SURFACE} if same_surface else WORDS
+        return tuple(word for name, word in words.items() if getattr(self, name) != getattr(earlier, name))
 
     def to_text(self) -> str:
         return json.dumps(asdict(self), sort_keys=True)

@@ -87,8 +87,8 @@ def tokens_are_there(obj: Any, facts: SurfaceFacts) -> bool:
 
 def _what_changed(obj: Any, job: Job, bake: StrokeBake) -> str:
     earlier = Inputs.from_text(keeping.kept(obj, INPUTS_PROPERTY))
-    words = job.inputs.changes(earlier) if earlier is not None and earlier.path_key == bake.path_key else ()
-    if not words:
+    if earlier is None or earlier.path_key != bake.path_key:
         return tr("Changed since it was baked.")
+    words = job.inputs.changes(earlier, same_surface=bake.facts.get("object") == job.object_name)
     said = tr("Since the bake {what} changed. Bake it again.")
     return said.format(what=tr(" and ").join(tr(word) for word in words))

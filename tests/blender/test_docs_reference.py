@@ -17,7 +17,7 @@ from hnf_blender.props.material import HnfMaterial
 from hnf_blender.props.scene import HnfScene
 from hnf_blender.props.stroke import HnfStroke
 from hnf_blender.rooms import classes_of
-from hnf_blender.touch.inputs import TOUCH
+from hnf_blender.touch.inputs import SAME_SURFACE, TOUCH
 from hnf_blender.touch.inputs import WORDS as CHANGES
 from hnf_blender.ui.texts import KINDS, LOOKS, ROUTE_WORDS
 
@@ -65,6 +65,7 @@ def test_every_word_for_a_state() -> None:
     said = [text for _, text in LOOKS.values()] + [text for _, text in KINDS.values()] + list(ROUTE_WORDS.values())
     assert [text for text in said if text not in both] == []
     assert [text for part, text in CHANGES.items() if part != TOUCH and text not in HELP] == []
+    assert SAME_SURFACE in HELP
 
 
 def reasons() -> Iterator[str]:

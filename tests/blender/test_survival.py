@@ -221,10 +221,18 @@ def test_a_renamed_surface_or_material_is_shown_as_stale_and_bakes_to_the_same(s
     plate = bpy.data.objects["Plate"]
     (plate if what == "surface" else plate.material_slots[0].material).name = "Other"
     assert statuses() == {"Along": STALE, "Below": FRESH}
-    assert "materials of the surface" in STATE.strokes["Along"].why or "path" in STATE.strokes["Along"].why
+    named = {"surface": "the name of its surface", "material": "the materials of the surface"}[what]
+    assert named in STATE.strokes["Along"].why
     bake()
     assert statuses() == {"Along": FRESH, "Below": FRESH}
     assert heard("Along") == before
+
+
+def test_a_moved_stroke_is_not_said_to_have_a_renamed_surface(saved: Path) -> None:
+    opened(saved)
+    bpy.data.objects["Along"].location.y += 0.001
+    assert statuses() == {"Along": STALE, "Below": FRESH}
+    assert STATE.strokes["Along"].why == "Since the bake its path or its timing changed. Bake it again."
 
 
 def test_slots_in_another_order_are_noticed_and_feel_the_same(saved: Path) -> None:

@@ -11,7 +11,7 @@ from ui_strings import strings_of_classes, strings_of_sources
 import hnf_blender
 from hnf_blender import translations
 from hnf_blender.ops.materials import library_items
-from hnf_blender.touch.inputs import WORDS
+from hnf_blender.touch.inputs import SAME_SURFACE, WORDS
 from hnf_blender.ui import texts
 from hnf_core.actuators.profile import PROFILES
 
@@ -30,7 +30,7 @@ def test_every_text_has_a_german_one(switched_on: None) -> None:
     tables = (texts.LOOKS.values(), texts.KINDS.values())
     wanted = strings_of_classes(our_classes()) | strings_of_sources() | set(texts.ROUTE_WORDS.values())
     wanted |= {text for table in tables for _, text in table}
-    wanted |= set(WORDS.values()) | {"no stroke touches it", "hidden", "muted"}
+    wanted |= set(WORDS.values()) | {SAME_SURFACE, "no stroke touches it", "hidden", "muted"}
     # Names and citations stay as they are.
     wanted -= {text for _, label, words in library_items() for text in (label, words)}
     wanted -= {text for profile in PROFILES.values() for text in (profile.title, profile.source)}
