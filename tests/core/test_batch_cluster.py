@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from batch_builders import at_work, direct, half_written, jobs_file, let_go, pipe, processes_with, synth, table, until
+from hatt_files import model_xml
 
 distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed: the extra [batch]")
 
@@ -170,6 +171,34 @@ def test_a_command_that_dies_is_tried_again_and_then_given_up(
     assert record is not None
     assert (record.exit_code, record.attempts) == (-11, 2)
     assert half_written(out) == []
+
+
+def test_training_runs_are_jobs_and_one_that_is_killed_ends_in_the_same_weights(
+    tmp_path: Path, scheduler: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import threading
+
+    pytest.importorskip("torch", reason="training needs torch")
+    out, codes, models = tmp_path / "out", [], tmp_path / "HaTT" / "Models10000Hz" / "XML"
+    models.mkdir(parents=True)
+    (models / "Models_Cloth.xml").write_text(model_xml(), encoding="utf-8")
+    run = ("train", "field", "--data", "hatt", str(tmp_path / "HaTT"), "--material", "Cloth", "--seconds", "6")
+    run += ("--epochs", "1", "--hidden", "8", "--layers", "1")
+    words = (*run, "--seed", 0, "--seed", 1, "--out", out, "--scheduler", scheduler, "--json")
+    thread = threading.Thread(target=lambda: codes.append(batch(*words)))
+    thread.start()
+    os.kill(until(lambda: processes_with(str(out)), "a training's process")[0], signal.SIGKILL)
+    thread.join(120)
+    assert codes == [0]
+    counts, errors = told(capsys)
+    assert counts == {"jobs": 2, "finished": 2, "skipped": 0, "failed": 0, "retried": 1, "workers": 2}
+    assert "killed by signal 9; it is tried again" in errors
+    first, second = (path.read_bytes() for path in sorted(out.glob("*/*.safetensors")))
+    assert first == direct([*run, "--seed", "0"], tmp_path / "alone.safetensors")
+    assert first != second
+    capsys.readouterr()
+    assert batch(*words) == 0
+    assert told(capsys)[0] == {"jobs": 2, "finished": 0, "skipped": 2, "failed": 0, "retried": 0, "workers": 0}
 
 
 def test_a_scheduler_that_is_not_there_and_workers_that_see_nothing_are_told(
