@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_core.bench.frame import Options, Row, Spread
+from hnf_core.bench.memory import with_peak
 from hnf_core.errors import HnfError
 from hnf_core.export.picture import linear_to_srgb
 from hnf_core.scene.camera import Camera
@@ -38,18 +39,26 @@ Colours = list[NDArray[np.float32]]
 
 @dataclass
 class Timed:
-    """One method. cpu: of all threads of this process. errors: of whole pictures, and inside the patches."""
+    """One method. cpu: of all threads of this process. errors: of whole pictures, and inside the patches. peak_mb: of
+    the first time, beyond what was there."""
 
     walls: list[float] = field(default_factory=list)
     cpus: list[float] = field(default_factory=list)
     error: float = 0.0
     on_patches: float = 0.0
+    peak_mb: float | None = None
 
     def take(self, function: Callable[[], Colours]) -> Colours:
-        wall, cpu = time.perf_counter(), time.process_time()
-        found = function()
-        self.walls.append(time.perf_counter() - wall)
-        self.cpus.append(time.process_time() - cpu)
+        def timed() -> Colours:
+            wall, cpu = time.perf_counter(), time.process_time()
+            found = function()
+            self.walls.append(time.perf_counter() - wall)
+            self.cpus.append(time.process_time() - cpu)
+            return found
+
+        found, peak = with_peak(timed)
+        if len(self.walls) == 1:
+            self.peak_mb = peak
         return found
 
 
@@ -166,7 +175,7 @@ def at_equal_error(mine: Timed, theirs: dict[int, Timed], error: Callable[[Timed
 def _row(method: str, timed: Timed, note: str, ratio: Spread | None = None) -> Row:
     return Row(
         NAME, method, Spread.of(timed.walls), Spread.of(timed.cpus), ratio, AT_EQUAL_ERROR if ratio else "",
-        timed.error, "of sRGB", note=note,
+        timed.error, "of sRGB", timed.peak_mb, note=note,
     )  # fmt: skip
 
 
@@ -175,7 +184,7 @@ def _patch_row(method: str, timed: Timed, theirs: dict[int, Timed], note: str) -
     least = min(each.on_patches for each in theirs.values())
     return Row(
         NAME, method, Spread.of(timed.walls), Spread.of(timed.cpus), ratio, AT_EQUAL_ERROR if ratio else "",
-        timed.on_patches, "of sRGB, there", note=f"{note}; BlenderProc's least error there {least:.3g}",
+        timed.on_patches, "of sRGB, there", timed.peak_mb, note=f"{note}; BlenderProc's least error there {least:.3g}",
     )  # fmt: skip
 
 

@@ -10,9 +10,10 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,7 @@ from ..actuators.sources.recorded import Recorded
 from ..actuators.stream import Stream
 from ..errors import DeviceError
 from .frame import Options, Row, Spread
+from .memory import with_peak
 
 NAME = "stream"
 SECONDS_A_REPEAT, QUICK_SECONDS = 120.0, 1.0
@@ -69,9 +71,15 @@ def rows(options: Options, seconds: float | None = None) -> list[Row]:
     found = []
     for case in CASES:
         options.watch(f"{NAME}: {case.method}, {length:g} s")
-        found.append(_on_serial(case, length))
+        found.append(_with_memory(partial(_on_serial, case, length)))
     options.watch(f"{NAME}: sound output, {length:g} s")
-    return [*found, _on_audio(length)]
+    return [*found, _with_memory(partial(_on_audio, length))]
+
+
+def _with_memory(made: Callable[[], Row]) -> Row:
+    """peak_mb: of this process, the comparison of the bytes at the end included."""
+    row, peak = with_peak(made)
+    return replace(row, peak_mb=peak)
 
 
 def _on_serial(case: Case, seconds: float) -> Row:

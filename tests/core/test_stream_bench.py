@@ -47,3 +47,4 @@ def test_its_rows_come() -> None:
     for row in found[:-1]:
         assert "underruns" in row.note
         assert row.error is not None
+        assert row.peak_mb is not None
