@@ -10,6 +10,7 @@ from hnf_blender.bench.views import AT_EQUAL_ERROR, Timed, at_equal_error
 from hnf_blender.bench.views_scene import Rectangle, patch_in, widened
 from hnf_blender.bridge.scene_camera import overview_camera
 from hnf_core.bench.frame import Options
+from hnf_core.bench.memory import with_peak
 from hnf_core.scene.raycast import cast_view, embree_caster
 
 
@@ -71,7 +72,8 @@ def test_both_ways_show_the_same_picture_and_every_row_comes():
     colour = [row for method, row in rows.items() if row.error_unit.startswith("of sRGB")]
     assert len(colour) == 6
     assert all(0.0 < row.error < 0.08 for row in colour)  # another camera or light is off by 0.2 and more
-    assert all(row.peak_mb is not None for row in colour)
+    if with_peak(list)[1] is not None:  # the system tells
+        assert all(row.peak_mb is not None for row in colour)
     assert rows["ours, 4"].error < rows["ours, 1"].error
     assert rows["BlenderProc's way, 4"].error < rows["BlenderProc's way, 1"].error
     assert all((row.ratio is None) == (row.ratio_to == "") for row in colour)

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hnf_core.bench.frame import Options
+from hnf_core.bench.memory import with_peak
 from hnf_core.bench.stream import CASES, differing, rows, sounding
 from hnf_core.bench.stream_device import Paced
 
@@ -47,4 +48,4 @@ def test_its_rows_come() -> None:
     for row in found[:-1]:
         assert "underruns" in row.note
         assert row.error is not None
-        assert row.peak_mb is not None
+        assert (row.peak_mb is None) == (with_peak(list)[1] is None)  # where the system does not tell
