@@ -56,7 +56,7 @@ def draw_tab(scene: Any, layer: Any) -> int:
     from ..ui import MODULES
     from ..ui.stroke_list import HNF_UL_strokes
 
-    context, layout = _context(scene, layer), Hollow()
+    context, layout = tab_context(scene, layer, SIDEBAR_PX), Hollow()
     panels = [
         each
         for each in classes_of(f"{__package__.rpartition('.')[0]}.ui", MODULES)
@@ -73,8 +73,8 @@ def draw_tab(scene: Any, layer: Any) -> int:
     return len(panels)
 
 
-def _context(scene: Any, layer: Any) -> Any:
-    """bpy.context has no region outside a window."""
+def tab_context(scene: Any, layer: Any, width_px: int) -> Any:
+    """What a panel is given in a region of this width; outside a window bpy.context has no region."""
     import bpy
 
     context = bpy.context
@@ -90,6 +90,6 @@ def _context(scene: Any, layer: Any) -> Any:
         object=layer.objects.active,
         active_object=layer.objects.active,
         selected_objects=list(layer.objects.selected),
-        region=SimpleNamespace(width=SIDEBAR_PX),
+        region=SimpleNamespace(width=width_px),
         preferences=SimpleNamespace(addons=context.preferences.addons, system=SimpleNamespace(ui_scale=1.0)),
     )

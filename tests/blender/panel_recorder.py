@@ -9,6 +9,8 @@ from typing import Any
 
 import bpy
 
+from hnf_blender.bench.hollow import tab_context
+
 FUNCTIONS = {function.identifier: function for function in bpy.types.UILayout.bl_rna.functions}
 ICONS = {item.identifier for item in FUNCTIONS["label"].parameters["icon"].enum_items}
 SETTINGS = {prop.identifier for prop in bpy.types.UILayout.bl_rna.properties}
@@ -85,22 +87,7 @@ class Recorder:
 
 def context_of(width: int = 300) -> Any:
     """What a panel's draw() is given in a region of this width [px]."""
-    context = bpy.context
-    return SimpleNamespace(
-        scene=context.scene,
-        view_layer=context.view_layer,
-        window_manager=context.window_manager,
-        workspace=context.workspace,
-        screen=context.screen,
-        window=context.window,
-        area=None,
-        mode=context.mode,
-        object=context.view_layer.objects.active,
-        active_object=context.view_layer.objects.active,
-        selected_objects=list(context.view_layer.objects.selected),
-        region=SimpleNamespace(width=width),
-        preferences=SimpleNamespace(addons=context.preferences.addons, system=SimpleNamespace(ui_scale=1.0)),
-    )
+    return tab_context(bpy.context.scene, bpy.context.view_layer, width)
 
 
 def drawn(panel: Any, width: int = 300) -> Recorder | None:
