@@ -13,6 +13,8 @@ FOLDER = MODULE.rpartition(".")[2]
 
 class Spent:
     """Context manager. calls: function that Blender called → seconds of every call; only the outermost one counts.
+    undisturbed: the same without the time that its thread was ready to run and the kernel ran others on its core;
+    whatever the call itself waited for is in it.
 
     It sees every function of the add-on on the main thread, so that nothing can be forgotten; what Blender does
     itself on our behalf (saving a copy, drawing our labels) is included where it happens inside such a call.
@@ -20,7 +22,8 @@ class Spent:
 
     def __init__(self) -> None:
         self.calls: dict[str, list[float]] = {}
-        self._depth, self._since, self._name = 0, 0.0, ""
+        self.undisturbed: dict[str, list[float]] = {}
+        self._depth, self._since, self._queued, self._name = 0, 0.0, 0.0, ""
         self._thread = threading.get_ident()
 
     def __enter__(self):
@@ -60,7 +63,8 @@ class Spent:
             return WATCH.DISABLE
         if threading.get_ident() == self._thread:
             if self._depth == 0:
-                self._since, self._name = time.perf_counter(), code.co_qualname
+                self._queued, self._name = queued_s(), code.co_qualname
+                self._since = time.perf_counter()
             self._depth += 1
         return None
 
@@ -83,7 +87,15 @@ class Spent:
             return
         self._depth -= 1
         if self._depth == 0:
-            self.calls.setdefault(self._name, []).append(time.perf_counter() - self._since)
+            took = time.perf_counter() - self._since
+            self.calls.setdefault(self._name, []).append(took)
+            self.undisturbed.setdefault(self._name, []).append(took - (queued_s() - self._queued))
+
+
+def queued_s() -> float:
+    """How long this thread has been ready to run without a core, since it began. proc(5): schedstat's second number."""
+    with open("/proc/thread-self/schedstat", encoding="ascii") as file:
+        return float(file.read().split()[1]) * 1e-9
 
 
 def is_ours(code) -> bool:

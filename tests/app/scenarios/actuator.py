@@ -11,6 +11,7 @@ from drive.timing import Spent
 
 SCREEN = "1280x1400"
 SMOOTH = "no"  # nobody looks at how its 3-D view is drawn
+QUICK_S = 0.1  # of one call in the window's own thread, without what other programs took of its core
 FRAMES = 72
 SOON_S = 30.0
 
@@ -70,13 +71,13 @@ def check_the_test_button(stage):
         with stage.over():
             stage.expect("pressed", bpy.ops.hnf.actuator_test() == {"FINISHED"})
         yield from stage.until("it plays", lambda: phase() == "playing" and facts().level_m_s2 > 0.5, SOON_S)
-        first_sound = time.monotonic() - began
-        stage.measured("first sound of a fresh player", first_sound, "s")
+        stage.measured("first sound of a fresh player", time.monotonic() - began, "s")
         yield from stage.picture("test", settle=0.2)
         yield from stage.until("it ends", lambda: phase() == "ready", SOON_S)
     stage.measured(f"longest call of ours ({spent.longest_name})", 1e3 * spent.longest, "ms")
-    told = f"{spent.longest:.3f} of {first_sound:.3f} s: {spent.longest_name}"
-    stage.expect("Blender does not wait for the player", spent.longest < first_sound / 3, told)
+    longest = max(max(times) for times in spent.undisturbed.values())
+    stage.measured("the longest, without what others took of the core", 1e3 * longest, "ms")
+    stage.expect("Blender waits for nothing", longest < QUICK_S, f"{longest:.3f} s {spent.longest_name}")
     stage.expect("without a fault", not facts().problem, facts().problem)
 
 
