@@ -32,7 +32,9 @@ def phase_of(link: Link) -> Phase:
         return Phase.READY
     if link.newest is None:
         return Phase.OPENING
-    return Phase.LIVE if link.is_live else Phase.PLAYING
+    if link.is_live:
+        return Phase.LIVE
+    return Phase.PAUSED if link.is_paused else Phase.PLAYING
 
 
 def lines_of(link: Link) -> tuple[str, ...]:

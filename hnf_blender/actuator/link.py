@@ -17,10 +17,12 @@ from hnf_core.actuators.player_messages import (
     Command,
     LiveBegin,
     Move,
+    Pause,
     Play,
     Ready,
     Refused,
     Report,
+    Resume,
     Seek,
     Status,
     Stop,
@@ -72,7 +74,7 @@ class Link:
 
     def _rest(self) -> None:
         """Nothing plays, and nothing is to follow."""
-        self._playing = self.is_live = self._swapped = False
+        self._playing = self.is_live = self.is_paused = self._swapped = False
         self._next: Sound | None = None
         self._sought_at = float("-inf")
 
@@ -86,6 +88,7 @@ class Link:
             self._swap(sound)
             self._tell(Seek(sound.start_s))
             self._sought_at = time.monotonic()
+            self.resume()
         else:
             self._begin(sound, where)
 
@@ -103,6 +106,16 @@ class Link:
         if self._playing or self.is_live:
             self._tell(Stop())
         self._rest()
+
+    def pause(self) -> None:
+        if self.is_sounding and not self.is_live:
+            self._tell(Pause())
+            self.is_paused = True
+
+    def resume(self) -> None:
+        if self.is_paused:
+            self._tell(Resume())
+        self.is_paused = False
 
     @property
     def is_playing(self) -> bool:

@@ -29,27 +29,38 @@ class Sound:
 
 
 class Player(Protocol):
-    """One sound at a time. Every call returns at once."""
+    """One sound at a time. Every call returns at once; what stops or pauses fades out."""
 
     def play(self, sound: Sound) -> None:
         """Play from sound.start_s on, in place of what plays. Raises HnfError where there is no device."""
         ...
 
     def change(self, sound: Sound) -> None:
-        """What plays goes on as this sound. Raises as play() does."""
+        """What plays, or is paused, goes on as this sound at the same place. Raises as play() does."""
         ...
 
     def stop(self) -> None: ...
 
+    def pause(self) -> None:
+        """Hold it where it is; the device is kept. Nothing where none plays."""
+        ...
+
+    def resume(self) -> None:
+        """Go on from there."""
+        ...
+
     @property
     def is_playing(self) -> bool:
-        """From play() on until it has ended, was stopped, or could not be played."""
+        """From play() on until it has ended, was stopped, or could not be played; paused too."""
         ...
 
     @property
     def is_sounding(self) -> bool:
         """It plays, and samples leave for the device: position_s holds."""
         ...
+
+    @property
+    def is_paused(self) -> bool: ...
 
     @property
     def position_s(self) -> float:

@@ -12,13 +12,14 @@ VIRTUAL = "virtual"
 
 
 class Phase(Enum):
-    """OFF: no player runs. OPENING: it starts, or takes the device. READY: it runs and holds no device. PLAYING. LIVE:
-    it follows the pen."""
+    """OFF: no player runs. OPENING: it starts, or takes the device. READY: it runs and holds no device. PLAYING.
+    PAUSED. LIVE: it follows the pen."""
 
     OFF = "off"
     OPENING = "opening"
     READY = "ready"
     PLAYING = "playing"
+    PAUSED = "paused"
     LIVE = "live"
 
 

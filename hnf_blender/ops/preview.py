@@ -86,6 +86,32 @@ class HNF_OT_preview_stop(bpy.types.Operator):  # type: ignore[misc]  # noqa: N8
         return {"FINISHED"}
 
 
+class HNF_OT_preview_pause(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
+    bl_idname = "hnf.preview_pause"
+    bl_label = "Pause"
+    bl_description = "Hold the sound where it is, softly; press again to go on from there"
+
+    @classmethod
+    def poll(cls, _context: Any) -> bool:
+        from ..preview.current import PLAYER
+
+        if not (PREVIEW.sounding and PLAYER.is_playing):
+            return greyed(cls, "Nothing plays")
+        return True
+
+    def execute(self, context: Any) -> set[str]:
+        from ..preview import current
+
+        try:
+            current.pause_or_go_on()
+        except HnfError as error:
+            self.report({"WARNING"}, str(error))
+            return {"CANCELLED"}
+        current.tell(PREVIEW.sounding, context.scene)
+        redraw_tab()
+        return {"FINISHED"}
+
+
 class HNF_OT_preview_ab(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.preview_ab"
     bl_label = "Compare"
@@ -144,4 +170,4 @@ class HNF_OT_preview_ab(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
             self.report({"WARNING"}, str(error))
 
 
-CLASSES = (HNF_OT_preview_play, HNF_OT_preview_stop, HNF_OT_preview_ab)
+CLASSES = (HNF_OT_preview_play, HNF_OT_preview_stop, HNF_OT_preview_pause, HNF_OT_preview_ab)

@@ -108,6 +108,7 @@ def look_at(windows: Sequence[Any]) -> None:
 
     from . import current
 
+    current.PLAYER.settle()
     heard = current.collect()
     ended = bool(PREVIEW.sounding) and not current.PLAYER.is_playing
     if ended:

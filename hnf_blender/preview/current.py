@@ -116,6 +116,14 @@ def sound_of(samples: NDArray[np.float32], rate: float, scene: Any, *, loop: boo
     return Sound(samples, rate, actuator_of(scene), loop, float(scene.hnf.monitor_gain_db))
 
 
+def pause_or_go_on() -> None:
+    """What sounds is held where it is, or what is held goes on."""
+    if PLAYER.is_paused:
+        PLAYER.resume()
+    else:
+        PLAYER.pause()
+
+
 def stop() -> None:
     PLAYER.stop()
     PREVIEW.sounding = PREVIEW.play_when_ready = ""
@@ -153,6 +161,7 @@ def tell(name: str, scene: Any) -> PreviewFacts:
         "has_kept": name in PREVIEW.kept,
         "busy": busy,
         "playing": PREVIEW.sounding == name and PLAYER.is_playing,
+        "paused": PREVIEW.sounding == name and PLAYER.is_paused,
         "problem": problem_of(name),
     }
     if shown is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import time
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,9 @@ from hnf_core.errors import SceneError
 
 from ..actuator.sound import Sound
 from .monitor import to_monitor
+
+FADE_S = 0.06
+"""A volume takes a buffer of the device to change, along a line; longer than any usual one lasts."""
 
 
 class Speakers:
@@ -26,42 +30,72 @@ class Speakers:
         self._device: Any = None
         self._name = ""
         self._handle: Any = None
+        self._paused_at: float | None = None
+        self._begins_at: float | None = None
+        self._fading: list[tuple[float, Any]] = []
         self._is_shared = False
 
     def play(self, sound: Sound) -> None:
         """Raises SceneError without a sound device."""
-        begin = round(sound.start_s * sound.rate)
-        self.sound(to_monitor(sound.samples[begin:], sound.gain_db), sound.rate, loop=sound.loop)
+        self.sound(to_monitor(sound.samples, sound.gain_db), sound.rate, loop=sound.loop, start_s=sound.start_s)
 
     def change(self, sound: Sound) -> None:
-        self.play(sound)
+        self.go_on_as(to_monitor(sound.samples, sound.gain_db), sound.rate, loop=sound.loop)
 
-    def sound(self, samples: NDArray[np.float32], rate: float, *, loop: bool = False) -> None:
-        """Sound samples (n, channels), −1 … 1, from now on, in place of what sounds. Raises SceneError without a
-        sound device."""
+    def go_on_as(self, samples: NDArray[np.float32], rate: float, *, loop: bool = False) -> None:
+        """As sound(), at the place where it is now; what is paused stays so."""
+        at, paused = self.position_s, self.is_paused
+        self.sound(samples, rate, loop=loop, start_s=min(at, len(samples) / rate))
+        if paused:
+            self._hold(at)
+
+    def sound(
+        self,
+        samples: NDArray[np.float32],
+        rate: float,
+        *,
+        loop: bool = False,
+        start_s: float = 0.0,
+        alone: bool = False,
+    ) -> None:
+        """Sound samples (n, channels), −1 … 1, from start_s on, in place of what sounds: that fades out meanwhile, or
+        before where they are to be alone. Raises SceneError without a sound device."""
         self.stop()
         aud = audio()
         sound = aud.Sound.buffer(np.ascontiguousarray(samples, dtype=np.float32), rate)
         was_open = self._device is not None
         try:
-            self._handle = self._begun(aud, sound)
+            self._handle = self._begun(aud, sound, later=alone and bool(self._fading))
         except Exception as error:  # aud.error, and what else a driver raises
             if not was_open:
                 raise SceneError(f"the sound device does not play ({error}).", remedy=NO_SOUND) from error
-            self.sound(samples, rate, loop=loop)  # the one that was open is gone: unplugged, or Blender took another
+            # The one that was open is gone: unplugged, or Blender took another.
+            self.sound(samples, rate, loop=loop, start_s=start_s, alone=alone)
             return
         if loop:
             self._handle.loop_count = -1
         if not self._handle.status and len(samples):
             self._handle = None
             raise SceneError("there is no sound device.", remedy=NO_SOUND)
+        if start_s > 0.0:
+            self._seek(start_s)
 
-    def _begun(self, aud: Any, sound: Any) -> Any:
+    def _begun(self, aud: Any, sound: Any, *, later: bool) -> Any:
         try:
-            return self._opened(aud).play(sound)
+            device = self._opened(aud)
+            if not later:
+                return device.play(sound)
+            device.lock()
+            try:
+                handle = device.play(sound)
+                handle.pause()
+            finally:
+                device.unlock()
         except Exception:
-            self._device = None
+            self._device, self._fading = None, []  # with it went what sounded there
             raise
+        self._begins_at = time.monotonic() + FADE_S
+        return handle
 
     def rate_hz(self) -> float:
         """At which the device plays. Raises SceneError without one."""
@@ -90,9 +124,49 @@ class Speakers:
         self._is_shared = shared
 
     def stop(self) -> None:
-        if self._handle is not None and self._handle.status:
-            self._handle.stop()
-        self._handle = None
+        if self.is_playing:
+            self._handle.volume = 0.0
+            self._fading.append((time.monotonic(), self._handle))
+        self._handle = self._paused_at = self._begins_at = None
+        self.settle()
+
+    def pause(self) -> None:
+        if self.is_playing and not self.is_paused:
+            self._hold(float(self._handle.position))
+
+    def resume(self) -> None:
+        if self._paused_at is None:
+            return
+        if self.is_playing:
+            self._fading = [each for each in self._fading if each[1] is not self._handle]
+            self._seek(self._paused_at)
+            self._handle.volume = 1.0
+            self._handle.resume()
+        self._paused_at = None
+
+    def settle(self) -> None:
+        """End what has faded out, begin what waited for that. Called now and then."""
+        now = time.monotonic()
+        over = [handle for since, handle in self._fading if now - since >= FADE_S]
+        self._fading = [each for each in self._fading if now - each[0] < FADE_S]
+        for handle in over:
+            if handle is self._handle:
+                handle.pause()
+            else:
+                handle.stop()
+        if self._begins_at is not None and now >= self._begins_at:
+            self._begins_at = None
+            if not self.is_paused:
+                self._handle.resume()
+
+    def _seek(self, to_s: float) -> None:
+        with contextlib.suppress(audio().error):  # it ended in this very moment
+            self._handle.position = to_s
+
+    def _hold(self, at_s: float) -> None:
+        """Fade out, and stay at at_s."""
+        self._paused_at, self._handle.volume = at_s, 0.0
+        self._fading.append((time.monotonic(), self._handle))
 
     @property
     def is_playing(self) -> bool:
@@ -100,16 +174,26 @@ class Speakers:
 
     @property
     def is_sounding(self) -> bool:
-        return self.is_playing
+        return self.is_playing and self._begins_at is None
+
+    @property
+    def is_paused(self) -> bool:
+        return self._paused_at is not None and self.is_playing
 
     @property
     def position_s(self) -> float:
         """Seconds into the sound."""
-        return float(self._handle.position) if self.is_playing else 0.0
+        if not self.is_playing:
+            return 0.0
+        return float(self._handle.position) if self._paused_at is None else self._paused_at
 
     def release(self) -> None:
-        self.stop()
-        self._device = None
+        """Silence at once: whoever opens a device next must find this one closed."""
+        for handle in [self._handle, *(handle for _, handle in self._fading)]:
+            if handle is not None and handle.status:
+                handle.stop()
+        self._handle = self._paused_at = self._begins_at = self._device = None
+        self._fading = []
 
 
 SILENT = "None"

@@ -10,8 +10,9 @@ if TYPE_CHECKING:
 
 class PreviewFacts(NamedTuple):
     """A stroke's signal as it is shown. Figures in s, m/s² and dB; headroom_db: None where the actuator's largest is
-    not known. shows: "A" (kept) or "now". has_kept: is there an A. busy: a newer one is being made. problem: why what
-    is shown is not true any more, or why there is nothing; "" = true. lines: all of it in words."""
+    not known. shows: "A" (kept) or "now". has_kept: is there an A. busy: a newer one is being made. paused: it plays,
+    and is held. problem: why what is shown is not true any more, or why there is nothing; "" = true. lines: all of it
+    in words."""
 
     stroke: str
     duration_s: float = 0.0
@@ -23,6 +24,7 @@ class PreviewFacts(NamedTuple):
     has_kept: bool = False
     busy: bool = False
     playing: bool = False
+    paused: bool = False
     problem: str = ""
     lines: tuple[str, ...] = ()
 

@@ -30,6 +30,16 @@ class Outputs:
     def stop(self) -> None:
         self._playing.stop()
 
+    def pause(self) -> None:
+        self._playing.pause()
+
+    def resume(self) -> None:
+        self._playing.resume()
+
+    def settle(self) -> None:
+        """Called now and then: what has faded out ends, and what waited for that begins."""
+        self._speakers.settle()
+
     @property
     def is_playing(self) -> bool:
         return self._playing.is_playing
@@ -37,6 +47,10 @@ class Outputs:
     @property
     def is_sounding(self) -> bool:
         return self._playing.is_sounding
+
+    @property
+    def is_paused(self) -> bool:
+        return self._playing.is_paused
 
     @property
     def position_s(self) -> float:

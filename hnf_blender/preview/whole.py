@@ -3,11 +3,15 @@ as a whole. For where `sounddevice` is missing; nothing can be played live so.""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
+from hnf_core.actuators.compensation import stages_of
 from hnf_core.actuators.limiter import Limiter
 from hnf_core.actuators.limits import COUNTS, Limits
+from hnf_core.actuators.profile import ActuatorProfile
 from hnf_core.actuators.resample import resampler
 
 from ..actuator.sound import Sound
@@ -15,22 +19,40 @@ from .device import Speakers
 
 
 class Whole:
-    """A Player through Speakers, whose device is Blender's. The monitor's gain is not heard."""
+    """A Player through Speakers, whose device is Blender's. The monitor's gain is not heard.
+
+    However it goes on, it fades out, and begins anew within the limits: two sounds at once might leave them.
+    """
 
     def __init__(self, speakers: Speakers) -> None:
         self._speakers = speakers
+        self._sound: Sound | None = None
 
     def play(self, sound: Sound) -> None:
         """Raises SceneError without a sound device."""
-        begin, to_hz = round(sound.start_s * sound.rate), self._speakers.rate_hz()
-        samples = limited(sound.samples[begin:], sound.rate, to_hz, sound.profile.limits, loop=sound.loop)
-        self._speakers.sound(samples, to_hz, loop=sound.loop)
+        to_hz = self._speakers.rate_hz()
+        first = round(sound.start_s * sound.rate)
+        begun = np.roll(sound.samples, -first) if sound.loop else sound.samples[first:]
+        samples = given_to(begun, sound.rate, to_hz, sound.profile, loop=sound.loop)
+        self._speakers.sound(samples, to_hz, loop=sound.loop, alone=True)
+        self._sound = sound
 
     def change(self, sound: Sound) -> None:
-        self.play(sound)
+        """Raises as play() does."""
+        was_paused = self.is_paused
+        self.play(replace(sound, start_s=min(self.position_s, sound.duration_s)))
+        if was_paused:
+            self._speakers.pause()
 
     def stop(self) -> None:
         self._speakers.stop()
+
+    def pause(self) -> None:
+        self._speakers.pause()
+
+    def resume(self) -> None:
+        if self._sound is not None and self.is_paused:
+            self.play(replace(self._sound, start_s=self.position_s))
 
     @property
     def is_playing(self) -> bool:
@@ -38,14 +60,32 @@ class Whole:
 
     @property
     def is_sounding(self) -> bool:
-        return self._speakers.is_playing
+        return self._speakers.is_sounding
+
+    @property
+    def is_paused(self) -> bool:
+        return self._speakers.is_paused
 
     @property
     def position_s(self) -> float:
-        return self._speakers.position_s
+        sound = self._sound
+        if sound is None or not self.is_playing:
+            return 0.0
+        place = sound.start_s + self._speakers.position_s
+        return place % sound.duration_s if sound.loop else min(place, sound.duration_s)
 
     def release(self) -> None:
         self._speakers.release()
+
+
+def given_to(
+    samples: NDArray[np.float32], from_hz: float, to_hz: float, profile: ActuatorProfile, *, loop: bool = False
+) -> NDArray[np.float32]:
+    """As limited(); an actuator whose response is known has it made up for first, as in a stream."""
+    made_up = np.where(np.isfinite(samples), samples, np.float32(0.0)).astype(np.float32)[:, None]
+    for stage in stages_of(profile, from_hz, 1):
+        made_up = stage.process(made_up)
+    return limited(made_up[:, 0], from_hz, to_hz, profile.limits, loop=loop)
 
 
 def limited(

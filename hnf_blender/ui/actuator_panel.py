@@ -20,6 +20,7 @@ PHASES = {
     Phase.OPENING: ("SORTTIME", "Connecting"),
     Phase.READY: ("RADIOBUT_ON", "Silent; the device is free for others"),
     Phase.PLAYING: ("PLAY", "Playing"),
+    Phase.PAUSED: ("PAUSE", "Paused; the device is kept"),
     Phase.LIVE: ("BRUSH_DATA", "Follows the pen"),
 }
 

@@ -47,6 +47,8 @@ class HNF_PT_preview(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa
         row.scale_y = 1.3
         if facts is not None and facts.playing:
             row.operator("hnf.preview_stop", text="Stop", icon="SNAP_FACE")
+            hold = "PLAY" if facts.paused else "PAUSE"
+            row.operator("hnf.preview_pause", text="", icon=hold, depress=facts.paused)
         else:
             row.operator("hnf.preview_play", text="Play", icon="PLAY")
         row.prop(context.scene.hnf, "loop", text="", icon="FILE_REFRESH")

@@ -8,8 +8,6 @@ import bpy
 import numpy as np
 import pytest
 from builders import add_plane
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from job_scene import small_scene
 from panel_recorder import drawn
 from player_builders import RATE_HZ, chosen, tone
@@ -25,11 +23,9 @@ from hnf_blender.preview import current
 from hnf_blender.preview.facts import PREVIEW
 from hnf_blender.preview.outputs import Outputs
 from hnf_blender.preview.timeline import Follower, sound_ahead
-from hnf_blender.preview.whole import limited
 from hnf_blender.rooms import classes_of
 from hnf_blender.ui.actuator_panel import PHASES
 from hnf_core.actuators.limiter import Limiter
-from hnf_core.actuators.limits import Limits
 from hnf_core.actuators.profile import GENERIC
 from hnf_core.actuators.virtual.recording import Recording
 from hnf_core.errors import FileError
@@ -69,7 +65,11 @@ def stroke(warm_bake, virtual):
 
 
 def until(so) -> bool:
-    end = time.monotonic() + LIMIT_S
+    return until_for(LIMIT_S, so)
+
+
+def until_for(seconds: float, so) -> bool:
+    end = time.monotonic() + seconds
     while time.monotonic() < end:
         actuator.tick(bpy.context)
         if so():
@@ -131,6 +131,33 @@ def test_a_looped_stroke_goes_on_as_a_and_as_now(stroke) -> None:
     assert bpy.ops.hnf.preview_stop() == {"FINISHED"}
     assert not current.PLAYER.is_playing
     assert until(lambda: ACTUATOR.facts.phase is Phase.READY)
+
+
+def test_a_paused_stroke_is_silent_and_goes_on_where_it_was(stroke) -> None:
+    player = current.PLAYER
+    bpy.context.scene.hnf.loop = True
+    assert bpy.ops.hnf.preview_play() == {"FINISHED"}
+    assert until(lambda: player.is_sounding and player.position_s > 0.05)
+    assert bpy.ops.hnf.preview_pause() == {"FINISHED"}
+    assert until(lambda: LINK.newest.status.state == "paused" and LINK.newest.status.level_m_s2 < 1e-3)
+    assert "Paused" in panel().words
+    held = player.position_s
+    stroke.hnf_stroke.seed += 1
+    current.refresh(stroke, bpy.context, wait=True)
+    current.go_on("Along", bpy.context.scene)
+    assert not until_for(0.3, lambda: LINK.newest.status.level_m_s2 > 1e-3)
+    assert player.is_playing
+    assert player.is_paused
+    assert player.position_s == pytest.approx(held, abs=0.02)
+    assert bpy.ops.hnf.preview_pause() == {"FINISHED"}
+    assert until(lambda: LINK.newest.status.state == "playing" and LINK.newest.status.level_m_s2 > 1e-3)
+    assert not player.is_paused
+    bpy.ops.hnf.preview_pause()
+    assert bpy.ops.hnf.preview_play() == {"FINISHED"}  # from its start
+    assert not player.is_paused
+    assert until(lambda: LINK.newest.status.state == "playing")
+    assert bpy.ops.hnf.preview_stop() == {"FINISHED"}
+    assert not bpy.ops.hnf.preview_pause.poll()
 
 
 def test_the_test_button_plays_one_second(virtual) -> None:
@@ -216,37 +243,6 @@ def test_without_sounddevice_a_sound_output_is_played_whole(virtual, monkeypatch
         bpy.ops.hnf.live_touch()
 
 
-bounds = st.builds(
-    Limits,
-    full_scale_m_s2=st.floats(1.0, 50.0),
-    peak=st.floats(0.1, 1.0),
-    slew_per_s=st.floats(1e3, 1e5),
-    sustained=st.floats(0.1, 1.0),
-    thermal_s=st.floats(0.5, 10.0),
-)
-
-
-@settings(max_examples=40, deadline=None)
-@given(
-    limits=bounds,
-    level=st.floats(0.0, 200.0),
-    to_hz=st.sampled_from([8000.0, 10_000.0, 44_100.0]),
-    loop=st.booleans(),
-    seed=st.integers(0, 2**16),
-)
-def test_played_whole_it_keeps_the_limits(limits, level, to_hz, loop, seed) -> None:
-    samples = (level * np.random.default_rng(seed).standard_normal(4000)).astype(np.float32)
-    samples[7] = np.nan
-    out = limited(samples, RATE_HZ, to_hz, limits, loop=loop).astype(np.float64)
-    assert len(out) >= int(0.4 * to_hz)
-    assert out.shape[1] == 1
-    assert np.abs(out).max(initial=0.0) <= limits.peak + 1e-7
-    assert out[-1, 0] == 0.0
-    assert np.abs(np.diff(out[:, 0], prepend=0.0)).max() <= limits.slew_per_s / to_hz + 1.0 / 32767
-    if loop:  # over and over, the coil warms to the mean square of one turn
-        assert np.mean(np.square(out)) <= limits.sustained**2 * (1.0 + 1e-6)
-
-
 def test_what_speakers_play_stops_where_an_actuator_begins(virtual, monkeypatch) -> None:
     outputs = Outputs()
     outputs.play(tone(5.0))
@@ -254,7 +250,7 @@ def test_what_speakers_play_stops_where_an_actuator_begins(virtual, monkeypatch)
     assert outputs.is_playing
     ACTUATOR.chosen = SPEAKERS
     sounded = []
-    monkeypatch.setattr(outputs._speakers, "sound", lambda samples, rate, loop=False: sounded.append(samples))
+    monkeypatch.setattr(outputs._speakers, "sound", lambda samples, rate, **_: sounded.append(samples))
     outputs.play(tone(0.1, gain_db=6.0))
     assert not outputs.is_actuator
     assert not LINK.is_playing

@@ -206,6 +206,60 @@ def check_a_sound_output_without_its_library(stage):
     with stage.over():
         bpy.ops.hnf.preview_stop()
     stage.expect("silent", not player.is_playing)
+    bpy.context.scene.hnf.loop = True
+    with stage.over():
+        bpy.ops.hnf.preview_play()
+    yield from is_held_and_goes_on(stage)
+    bpy.context.scene.hnf.loop = False
+    yield from choose(stage, "virtual")
+
+
+def change_the_seed():
+    strokes()[0].hnf_stroke.seed += 1
+    strokes()[0].update_tag()
+
+
+def is_held_and_goes_on(stage):
+    """Paused, changed while it is, let go: all at one place of the stroke. What sounds is stopped in the end."""
+    player, name = ours("preview.current").PLAYER, strokes()[0].name
+    yield from stage.until("it sounds, somewhere", lambda: player.is_sounding and player.position_s > 0.1, SOON_S)
+    with stage.over():
+        stage.expect("held", bpy.ops.hnf.preview_pause() == {"FINISHED"})
+    held, long_s = player.position_s, heard(name).signal.duration_s
+    yield 0.4
+    stage.expect("it stays there", player.is_paused and player.position_s == held, (held, player.position_s))
+    before = heard(name)
+    change_the_seed()
+    yield from stage.until("a change is there", lambda: heard(name).stamp != before.stamp, SOON_S)
+    yield 0.4
+    stage.expect("still held, at the same place", player.is_paused and abs(player.position_s - held) < 0.01)
+    began = time.monotonic()
+    with stage.over():
+        bpy.ops.hnf.preview_pause()
+    yield from stage.until("it goes on", lambda: player.is_sounding and player.position_s != held, SOON_S)
+    gone = (player.position_s - held + long_s / 2) % long_s - long_s / 2
+    stage.expect("from there", -0.01 < gone < time.monotonic() - began + 0.05, gone)
+    at, since = player.position_s, time.monotonic()
+    change_the_seed()
+    last = heard(name)
+    yield from stage.until("another change", lambda: heard(name).stamp != last.stamp, SOON_S)
+    yield from stage.until("which sounds", lambda: player.is_sounding, SOON_S)
+    off = (player.position_s - at - (time.monotonic() - since) + long_s / 2) % long_s - long_s / 2
+    stage.expect("where the other was", abs(off) < 0.35, off)
+    with stage.over():
+        bpy.ops.hnf.preview_stop()
+    stage.expect("silent", not player.is_playing and not player.is_paused)
+    yield 0.3
+    stage.expect("what faded out has ended", player._speakers._fading == [], player._speakers._fading)
+
+
+def check_speakers_pause_and_go_on(stage):
+    yield from choose(stage, "")
+    bpy.context.scene.hnf.loop = True
+    with stage.over():
+        bpy.ops.hnf.preview_play()
+    yield from is_held_and_goes_on(stage)
+    bpy.context.scene.hnf.loop = False
     yield from choose(stage, "virtual")
 
 
