@@ -11,10 +11,15 @@ import numpy as np
 
 from ..export.convert import import_signal
 from ..export.formats import SUFFIXES, format_of
+from ..export.loss import levels_table, loss_between, loss_table
 from ..export.options import RENDER_RATE_HZ, ImportOptions
 from ..export.wav import write_wav
+from ..export.wav_copies import read_any_wav
 from .export import add_scale, check_out, scale_of
 from .verbs import HELP
+
+TOLD = ("scale", "carrier", "ignored")
+"""Of the provenance: what was assumed, made up, and left out."""
 
 
 def add_parser(verbs: Any) -> argparse.ArgumentParser:
@@ -45,6 +50,8 @@ def run(arguments: argparse.Namespace) -> int:
     options = ImportOptions(full_scale, range_hz, arguments.rate, arguments.seed)
     signal = import_signal(arguments.file, options, form)
     write_wav(arguments.out, signal)
+    told = tuple(f"{name}: {signal.provenance[name]}" for name in TOLD if name in signal.provenance)
+    loss = loss_between(signal, read_any_wav(arguments.out, options), told)
     record = {
         "wav": str(arguments.out),
         "source": str(arguments.file),
@@ -54,12 +61,11 @@ def run(arguments: argparse.Namespace) -> int:
         "peak_m_s2": float(np.abs(signal.samples).max(initial=0.0)),
         "seed": signal.seed,
         "provenance": dict(signal.provenance),
+        "loss": loss.to_json(),
     }
     if arguments.json:
         print(json.dumps(record, indent=1))
         return 0
-    print(f"{arguments.out}: {signal.duration_s:.2f} s at {signal.sample_rate:g} Hz, {signal.rms:.3g} m/s² RMS")
-    for name in ("scale", "carrier", "ignored"):
-        if name in signal.provenance:
-            print(f"- {name}: {signal.provenance[name]}")
+    print(f"{arguments.out}: what {arguments.file} says, in m/s²\n{loss_table(loss)}")
+    print(levels_table(loss.after, loss.bands))
     return 0

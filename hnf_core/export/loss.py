@@ -101,7 +101,7 @@ def loss_table(loss: Loss) -> str:
     if loss.exact:
         facts = f"{before.duration_s:.4f} s at {before.sample_rate_hz:g} Hz, {before.rms:.3g} m/s² RMS"
         return _listed(f"Every sample reads back as it was: {facts}, peak {before.peak:.3g} m/s².", loss)
-    rows = [
+    rows: list[tuple[str, ...]] = [
         ("", "before", "after", "change"),
         ("duration", f"{before.duration_s:.4f} s", f"{after.duration_s:.4f} s",
          f"{1000.0 * (after.duration_s - before.duration_s):+.2f} ms"),
@@ -111,15 +111,31 @@ def loss_table(loss: Loss) -> str:
         ("crest factor", *_both(before.crest_db, after.crest_db)),
         ("dynamics, 5–95 %", *_both(before.range_db, after.range_db)),
     ]  # fmt: skip
-    loudest = max(max(band.before, band.after) for band in loss.bands)
-    for band in loss.bands:
-        if max(band.before, band.after) > loudest * 10.0 ** (-QUIET_DB / 10.0):
-            rows.append((_name(band), *_both(level_db(band.before), level_db(band.after))))
-    widths = [max(len(row[column]) for row in rows) for column in range(4)]
-    lines = [
-        "  ".join([row[0].ljust(widths[0]), *(row[i].rjust(widths[i]) for i in (1, 2, 3))]).rstrip() for row in rows
+    rows += [(_name(band), *_both(level_db(band.before), level_db(band.after))) for band in _heard(loss.bands)]
+    return _listed(_aligned(rows), loss)
+
+
+def levels_table(facts: Facts, bands: tuple[Band, ...]) -> str:
+    """How strong a signal is, whole and octave by octave (bands: of it, as after): for a terminal."""
+    rows: list[tuple[str, ...]] = [
+        ("crest factor", _db(facts.crest_db)),
+        ("dynamics, 5–95 %", _db(facts.range_db)),
+        *((_name(band), _db(level_db(band.after))) for band in _heard(bands)),
     ]
-    return _listed("\n".join(lines), loss)
+    return _aligned(rows)
+
+
+def _heard(bands: tuple[Band, ...]) -> list[Band]:
+    """Those that are not QUIET_DB below the loudest."""
+    loudest = max(max(band.before, band.after) for band in bands)
+    return [each for each in bands if max(each.before, each.after) > loudest * 10.0 ** (-QUIET_DB / 10.0)]
+
+
+def _aligned(rows: list[tuple[str, ...]]) -> str:
+    """The first column to the left, the others to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = [[row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])] for row in rows]
+    return "\n".join("  ".join(line).rstrip() for line in lines)
 
 
 def _listed(text: str, loss: Loss) -> str:

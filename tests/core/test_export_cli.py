@@ -66,6 +66,24 @@ def test_the_report_is_a_short_table(tmp_path: Path, wav: Path, capsys: pytest.C
     assert shown.err == ""
 
 
+def test_what_came_in_is_told_by_level_and_octave(
+    tmp_path: Path, wav: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert hnf("export", wav, "--format", "ahap", "--out", tmp_path / "x.ahap", "--json") == 0
+    left = {band["low_hz"]: band["after_db"] for band in json.loads(capsys.readouterr().out)["loss"]["bands"]}
+    assert hnf("import", tmp_path / "x.ahap", "--out", tmp_path / "y.wav", "--json") == 0
+    loss = json.loads(capsys.readouterr().out)["loss"]
+    assert loss["exact"]
+    came = {band["low_hz"]: band["after_db"] for band in loss["bands"]}
+    loudest = max(came, key=lambda low: came[low] or -200.0)
+    assert came[loudest] == pytest.approx(left[loudest], abs=0.3)
+    assert hnf("import", tmp_path / "x.ahap", "--out", tmp_path / "y.wav") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1].startswith("Every sample reads back as it was: 0.4000 s")
+    assert any(line.startswith("- carrier: a sine") for line in lines)
+    assert next(line for line in lines if line.startswith("177–354 Hz")).endswith(" dB")
+
+
 def test_clipping_is_said_on_the_error_stream(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_wav(tmp_path / "in.wav", tone(160.0, 50.0))
     assert hnf("export", tmp_path / "in.wav", "--format", "wav8k", "--out", tmp_path / "x.wav") == 0
