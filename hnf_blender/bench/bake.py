@@ -1,7 +1,8 @@
 """A bake in every way there is: how long, how much memory, and how far what is felt then is from what a much finer look
 and F_Θ in float64 would have given.
 
-All ways are taken in turn, round by round. Close-ups of fewer pixels and of more stand beside those that are shipped.
+All ways are taken in turn, round by round. Close-ups of fewer pixels and of more stand beside those that are shipped:
+of a relief that is a pattern, and of one that is an image, where a first look says how many it takes.
 """
 
 from __future__ import annotations
@@ -28,13 +29,17 @@ from hnf_core.field.weights import load_field
 from hnf_core.material.token import LEVELS
 
 from .needs import need_bpy
-from .scale_scenes import plate, strokes
+from .scale_scenes import SIZE_M, picture_relief, plate, strokes
 from .stage import playing
 
 NAME = "bake"
 PIXELS, USUAL, FINE = (128, 256, 512, 1024), 512, 2048
 """Of a close-up's side: those compared, what is shipped, and the reference's, 10 µm each."""
 QUICK_PIXELS, QUICK_USUAL, QUICK_FINE = (64, 128), 128, 256
+FIRST, QUICK_FIRST = 128, 32
+"""Of the first look that is shipped."""
+TEXELS = (240, 480)
+"""Along a side of an image relief: half a millimetre and a quarter on the plate of 12 cm."""
 STROKES, LENGTH_M, QUICK_LENGTH_M = 2, 0.03, 0.01
 SEED = 5
 
@@ -44,11 +49,13 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Way:
-    """pixels: of a side of its close-ups. ready: makes what is there before it, neither timed nor counted."""
+    """pixels: of a side of its close-ups. ready: makes what is there before it, neither timed nor counted. first: of a
+    side of a first look, None = without."""
 
     name: str
     pixels: int
     ready: Callable[[], object]
+    first: int | None = None
 
 
 class Room:
@@ -57,14 +64,18 @@ class Room:
     def __init__(self, scene: Any, layer: Any, cache: Path) -> None:
         self._scene, self._layer, self._cache = scene, layer, cache
 
-    def bake(self, pixels: int) -> Felt:
+    def bake(self, pixels: int, first: int | None = None) -> Felt:
         """What the field is asked about each stroke, as the file keeps it. Raises HnfError where a stroke fails."""
         from ..bridge.strokes import stroke_objects
         from ..jobs import running
         from ..preview.stroke_bake import load_bake
         from ..touch import bake
 
-        with patch.object(running, "cache_folder", lambda: self._cache), patch.object(bake, "PATCH_PIXELS", pixels):
+        with (
+            patch.object(running, "cache_folder", lambda: self._cache),
+            patch.object(bake, "PATCH_PIXELS", pixels),
+            patch.object(bake, "FIRST_PIXELS", first),
+        ):
             ended = running.bake_in_line(self._scene, self._layer)
         found = {obj.name: load_bake(obj) for obj in stroke_objects(self._scene)}
         if not ended.ok:
@@ -90,16 +101,29 @@ class Room:
 
 
 def rows(options: Options) -> list[Row]:
-    """The reference, a cold bake at each size of the close-ups, one whose close-ups are there, one of what is fresh.
+    """Of a pattern: a cold bake at each size of the close-ups, one whose close-ups are there, one of what is fresh. Of
+    images: all pixels at once, and the first look.
 
     Raises HnfError without bpy, or where a bake fails. Empties the file that is open.
     """
     need_bpy(NAME)
+    found = _rows(options, "", lambda room: _ways(room, options.quick))
+    for texels in TEXELS[: 1 if options.quick else None]:
+        told = f"an image of {1e3 * SIZE_M / texels:.2g} mm texels, "
+        found += _rows(options, told, partial(_first_looks, told, quick=options.quick), texels)
+    return found
+
+
+def _rows(options: Options, told: str, ways_in: Callable[[Room], list[Way]], texels: int = 0) -> list[Row]:
+    """The reference and all ways in one scene. texels: of the image that its relief is; 0: a pattern."""
     with playing() as (scene, layer), tempfile.TemporaryDirectory() as folder:
-        strokes(STROKES, plate(32), apart=True, length_m=QUICK_LENGTH_M if options.quick else LENGTH_M)
+        surface = plate(32)
+        if texels:
+            picture_relief(surface, texels, SEED)
+        strokes(STROKES, surface, apart=True, length_m=QUICK_LENGTH_M if options.quick else LENGTH_M)
         layer.update()
         room = Room(scene, layer, Path(folder) / "cache")
-        ways = _ways(room, options.quick)
+        ways = ways_in(room)
         times = {way.name: Times(time.process_time) for way in ways}
         felt: dict[str, Felt] = {}
         peaks: dict[str, float | None] = {}
@@ -107,7 +131,7 @@ def rows(options: Options) -> list[Row]:
             for way in ways:
                 options.watch(f"{NAME}: {way.name}, {repeat + 1} of {options.repeats}")
                 way.ready()
-                bake = partial(times[way.name].take, partial(room.bake, way.pixels))
+                bake = partial(times[way.name].take, partial(room.bake, way.pixels, way.first))
                 felt[way.name], peak = with_peak(bake)
                 peaks.setdefault(way.name, peak)  # later ones find room that the allocator kept
         options.watch(f"{NAME}: the reference")
@@ -115,9 +139,9 @@ def rows(options: Options) -> list[Row]:
         fine = QUICK_FINE if options.quick else FINE
         true = room.bake(fine)
         exact = signals(true, exactly=True)
-    usual = next(way.name for way in ways if way.pixels == _usual(options.quick))
-    told = f"the reference: close-ups of {fine} pixels, F_Θ in float64 2000 times a second"
-    found = [Row(NAME, "fine", error_unit="dB", note=told)]
+    usual = next(way.name for way in ways if way.pixels == _usual(options.quick) and way.first is None)
+    reference = f"the reference: close-ups of {fine} pixels, F_Θ in float64 2000 times a second"
+    found = [Row(NAME, f"{told}fine", error_unit="dB", note=reference)]
     for way in ways:
         row = Row(
             NAME, way.name, times[way.name].seconds, times[way.name].cpu,
@@ -145,6 +169,14 @@ def _ways(room: Room, quick: bool) -> list[Way]:
         Way("close-ups kept", usual, partial(room.close_ups_there, usual)),
         Way("nothing changed", usual, partial(room.bake, usual)),
         *(way for pixels, way in cold.items() if pixels > usual),
+    ]
+
+
+def _first_looks(told: str, room: Room, *, quick: bool) -> list[Way]:
+    usual, first = _usual(quick), QUICK_FIRST if quick else FIRST
+    return [
+        Way(f"{told}{usual} pixels at once", usual, room.forget_all),
+        Way(f"{told}a first look of {first}", usual, room.forget_all, first),
     ]
 
 

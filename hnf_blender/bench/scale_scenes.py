@@ -87,6 +87,24 @@ def relief(name: str, scale: float) -> Any:
     return material
 
 
+def picture_relief(obj: Any, texels: int, seed: int) -> None:
+    """Make obj's bump one of an image of texels × texels over all of it."""
+    import bpy
+
+    pixels = np.ones((texels, texels, 4), dtype=np.float32)
+    pixels[..., :3] = np.random.default_rng(seed).uniform(0.2, 0.8, (texels, texels, 1))
+    image = bpy.data.images.new("Relief", texels, texels, float_buffer=True, is_data=True)
+    image.pixels.foreach_set(pixels.ravel())
+    image.update()
+    image.pack()
+    tree = obj.data.materials[0].node_tree
+    bump = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeBump")
+    texture, place = tree.nodes.new("ShaderNodeTexImage"), tree.nodes.new("ShaderNodeTexCoord")
+    texture.image = image
+    tree.links.new(place.outputs["Generated"], texture.inputs["Vector"])
+    tree.links.new(texture.outputs["Color"], bump.inputs["Height"])
+
+
 def _grid(name: str, cuts: int, size_m: float) -> Any:
     """By arrays: ten million faces must not pass through Python."""
     import bpy

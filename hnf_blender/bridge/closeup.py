@@ -22,8 +22,10 @@ from hnf_core.scene.view import RgbdView
 from hnf_core.tactile.height import height_from_slopes
 
 from .appearance import Layers, average_appearance, closures, mixed, shading_value
+from .fewest_pixels import detail_of, fewest_pixels, is_of_images
 from .look import Look, look_of
 from .meshes import Surface, ray_caster
+from .own_surface import connected
 from .render import add_aovs, add_camera, aim, geometry_only, prepare_cycles, render_passes
 from .shader_height import MicroGeometry, Relief, Slopes
 from .stage import SlotReading, Stage, set_stage, tap_slot
@@ -41,8 +43,6 @@ APPEARANCE_PIXELS = 128
 is to see."""
 LIFT_M = 1e-4
 """What lies nearer above a patch's centre is the patch itself, within the precision of its place."""
-STEEPEST = 4.0
-"""Depth steps steeper than this between neighbouring pixels part two surfaces (76°)."""
 
 
 @dataclass(frozen=True)
@@ -133,8 +133,13 @@ def iter_closeups(
     pixels: int = 512,
     metres_per_unit: float = 1.0,
     frame: float | None = None,
+    first: int | None = None,
 ) -> Generator[CloseUp, None, None]:
-    """render_closeups, unlit, one after the other. Close it, or take all: the stage stands until then."""
+    """render_closeups, unlit, one after the other. Close it, or take all: the stage stands until then.
+
+    first: side of a first look where all detail is in images; a closer one follows only where those show more than it
+    sees. None: no first look.
+    """
     if not patches:
         return
     where = f"object '{obj.name}'"
@@ -149,16 +154,30 @@ def iter_closeups(
         add_aovs(temporary.view_layer, taps)
         camera_object = add_camera(temporary)
         temporary.scene.render.use_persistent_data = len(patches) > 1
-        for patch in patches:
-            side = pixels if _has_detail(readings[patch.slot]) else min(pixels, APPEARANCE_PIXELS)
+
+        def look(patch: Patch, side: int, before: _Looked | None = None) -> _Looked:
             camera, rays = unoccluded(patch, side, caster)
             passes: Passes = {}
             if readings[patch.slot].taps:
                 aim(temporary.scene, camera_object, camera, stage.rigid, stage.metres_per_unit)
                 passes = render_passes(temporary)
-            seen = cast_view(caster, surface.mesh, camera)
-            scene = _Seen(patch, camera, seen, passes, readings[patch.slot], stage, metres_per_unit)
-            yield _closeup(scene, surface, rays + seen.depth.size)
+            cast = cast_view(caster, surface.mesh, camera)
+            seen = _Seen(patch, camera, cast, passes, readings[patch.slot], stage, metres_per_unit)
+            rays, renders = rays + cast.depth.size, 1 if passes else 0
+            if before is not None:
+                rays, renders = before.rays + rays, before.renders + renders
+            return _Looked(seen, _own_surface(seen, surface), rays, renders)
+
+        for patch in patches:
+            slot = readings[patch.slot]
+            side = pixels if _has_detail(slot) else min(pixels, APPEARANCE_PIXELS)
+            if first is None or first >= side or not is_of_images(slot):
+                yield _closeup(look(patch, side), surface)
+                continue
+            looked = look(patch, first)
+            cast, passes = looked.seen.cast, looked.seen.passes
+            enough = fewest_pixels(slot, passes, looked.mask, cast.triangle, patch.size_m, side)
+            yield _closeup(looked if enough <= first else look(patch, enough, looked), surface)
 
 
 def within_reach(surface: Surface, patches: Sequence[Patch]) -> Surface:
@@ -168,10 +187,7 @@ def within_reach(surface: Surface, patches: Sequence[Patch]) -> Surface:
 
 
 def _has_detail(slot: SlotReading) -> bool:
-    if slot.colour is not None:
-        return True
-    micros = [each.micro for each in closures(slot.reading.layers)] + [slot.reading.displacement]
-    return any(micro.reliefs or micro.slopes for micro in micros)
+    return slot.colour is not None or bool(detail_of(slot))
 
 
 @dataclass(frozen=True)
@@ -191,6 +207,16 @@ class _Seen:
         return self.patch.size_m / self.camera.width
 
 
+@dataclass(frozen=True)
+class _Looked:
+    """mask: the patch's own surface. rays, renders: it took, first looks included."""
+
+    seen: _Seen
+    mask: Mask
+    rays: int
+    renders: int
+
+
 def unoccluded(patch: Patch, pixels: int, caster: RayCaster) -> tuple[Camera, int]:
     """The patch's camera, its near clip moved under whatever part of the object hangs over the patch's centre."""
     camera = patch.camera(pixels)
@@ -201,8 +227,8 @@ def unoccluded(patch: Patch, pixels: int, caster: RayCaster) -> tuple[Camera, in
     return camera, 1
 
 
-def _closeup(seen: _Seen, surface: Surface, rays: int) -> CloseUp:
-    mask = _own_surface(seen, surface)
+def _closeup(looked: _Looked, surface: Surface) -> CloseUp:
+    seen, mask = looked.seen, looked.mask
     layers = seen.slot.reading.layers
     notes = [*seen.stage.notes, *seen.slot.reading.notes]
     height, source, resolved = _height(seen, mask, notes)
@@ -226,8 +252,8 @@ def _closeup(seen: _Seen, surface: Surface, rays: int) -> CloseUp:
         resolved_wavelength_m=resolved,
         notes=tuple(dict.fromkeys(notes)),
         faces=np.unique(seen.cast.face_id[mask]),
-        rays=rays,
-        renders=1 if seen.passes else 0,
+        rays=looked.rays,
+        renders=looked.renders,
         look=_look(seen, albedo, mask, surface),
     )
 
@@ -245,37 +271,6 @@ def _own_surface(seen: _Seen, surface: Surface) -> Mask:
     """Pixels of the patch's slot that connect to its centre without a step in depth."""
     slot = np.where(seen.cast.triangle >= 0, surface.mesh.slot[seen.cast.triangle], -1)
     return connected(slot == seen.patch.slot, seen.cast.depth, seen.pixel_m)
-
-
-def connected(own: Mask, depth: NDArray[np.floating[Any]], pixel_m: float) -> Mask:
-    """Those of own (H, W) that are joined to the patch's centre without a step in planar depth (H, W) in metres."""
-    depth = np.where(own, depth, 0.0)
-    limit = STEEPEST * pixel_m
-    right = own[:, 1:] & own[:, :-1] & (np.abs(np.diff(depth, axis=1)) <= limit)
-    down = own[1:] & own[:-1] & (np.abs(np.diff(depth, axis=0)) <= limit)
-    rows, columns = own.shape
-    reached = np.zeros_like(own)
-    middle = (slice(rows // 2 - 1, rows // 2 + 1), slice(columns // 2 - 1, columns // 2 + 1))
-    at_centre = own[middle] & (np.abs(depth[middle] - CAMERA_DISTANCE_M) <= CAMERA_DISTANCE_M / 4.0)
-    reached[middle] = at_centre
-    return flood(reached, right, down)
-
-
-def flood(seed: Mask, right: Mask, down: Mask) -> Mask:
-    """Everything connected to seed (H, W); right (H, W−1) and down (H−1, W) say which neighbours are joined."""
-    reached = seed.copy()
-    while True:
-        before = int(reached.sum())
-        for column in range(right.shape[1]):
-            reached[:, column + 1] |= reached[:, column] & right[:, column]
-        for column in reversed(range(right.shape[1])):
-            reached[:, column] |= reached[:, column + 1] & right[:, column]
-        for row in range(down.shape[0]):
-            reached[row + 1] |= reached[row] & down[row]
-        for row in reversed(range(down.shape[0])):
-            reached[row] |= reached[row + 1] & down[row]
-        if int(reached.sum()) == before:
-            return reached
 
 
 def _height(seen: _Seen, mask: Mask, notes: list[str]) -> tuple[NDArray[np.float32] | None, str, float]:

@@ -17,6 +17,9 @@ Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 CODES = 255.0
+COARSEST_WAVE_M = 1e-3
+"""A picture from which a relief is to be estimated must show waves as short as this. It is then softer than the widest
+view, though not softer than D_φ knows: of 1 mm the blur of its training pictures (σ up to 0.6 pixels) leaves a half."""
 UNIFORM_CODES = 1.0
 """A colour that varies by less than this many of 255 steps (RMS) is the same everywhere: a texture's own rounding."""
 

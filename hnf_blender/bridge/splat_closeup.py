@@ -22,9 +22,10 @@ from hnf_core.scene.view import RgbdView
 from hnf_core.tactile.height import fill_masked
 from hnf_core.tactile.held_wave import held_wave
 
-from .closeup import APPEARANCE_PIXELS, CloseUp, connected, unoccluded, within_reach
+from .closeup import APPEARANCE_PIXELS, CloseUp, unoccluded, within_reach
 from .look import CODES, UNIFORM_CODES, Look
 from .meshes import Surface, ray_caster
+from .own_surface import connected
 from .splat_cloud import read_cloud, source_of
 from .splat_frame import CloudFrame, cloud_frame
 

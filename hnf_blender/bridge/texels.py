@@ -76,12 +76,16 @@ def image_tap(node: Any, tapper: Tapper) -> ImageTap:
 
 def resolved_wavelength(sources: Iterable[Detailed], passes: Passes, mask: Mask, pixel_m: float) -> float:
     """Shortest wavelength in metres that the finest source resolves: two texels, never less than two pixels."""
+    return max(2.0 * finest_texel(sources, passes, mask, pixel_m), 2.0 * pixel_m)
+
+
+def finest_texel(sources: Iterable[Detailed], passes: Passes, mask: Mask, pixel_m: float) -> float:
+    """Size in metres of the smallest texels among the sources: 0 where one has none, inf where it cannot be told."""
     sources = tuple(sources)
     if any(source.procedural for source in sources):
-        return 2.0 * pixel_m
-    texels = [texel_size(image, passes, mask, pixel_m) for source in sources for image in source.images]
-    known = [size for size in texels if np.isfinite(size)]
-    return max(2.0 * min(known), 2.0 * pixel_m) if known else float("inf")
+        return 0.0
+    texels = (texel_size(image, passes, mask, pixel_m) for source in sources for image in source.images)
+    return min(texels, default=float("inf"))
 
 
 def texel_size(image: ImageTap, passes: Passes, mask: Mask, pixel_m: float) -> float:

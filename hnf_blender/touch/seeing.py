@@ -19,16 +19,12 @@ from hnf_core.tactile.diffusion.weights import DEFAULT_WEIGHTS, MapWeights, load
 from hnf_core.tactile.tactile_map import Route, TactileMap
 from hnf_core.tactile.views import PITCHES_M, LookView, contrast, cut_views
 
-from ..bridge.look import Look
+from ..bridge.look import COARSEST_WAVE_M, Look
 from .store import Prediction
 
 SENSOR = "gelsight"
 SHARP_WAVE_M = 2.0 * PITCHES_M[0]
 """The shortest wave of the widest view."""
-COARSEST_WAVE_M = 1e-3
-"""A picture must show waves as short as this. It is then softer than the widest view, though not softer than D_φ knows:
-of 1 mm the blur of its training pictures (σ up to 0.6 pixels) leaves a half."""
-
 FAINTEST = 1.0 / 255.0
 """Contrast of a view (tactile.views.contrast): one level of an eight-bit picture. One in a hundred training views is
 fainter; a plain colour says nothing, and D_φ, which never met any, would make a pattern of it. bridge.look says the

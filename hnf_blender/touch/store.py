@@ -19,7 +19,7 @@ from hnf_core.tactile.tactile_map import Route
 
 from ..bridge.look import Look
 
-STORE_VERSION = 3
+STORE_VERSION = 4
 PREDICTION_VERSION = 1
 
 

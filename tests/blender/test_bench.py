@@ -14,7 +14,7 @@ from hnf_blender.bench.catalogue import BENCHES
 from hnf_blender.cli import main
 from hnf_blender.jobs import current
 from hnf_blender.state.session import STATE
-from hnf_blender.touch.bake import PATCH_PIXELS
+from hnf_blender.touch.bake import FIRST_PIXELS, PATCH_PIXELS
 from hnf_core.bench.frame import Options
 
 
@@ -56,17 +56,21 @@ def test_a_bake_is_told_with_its_error_in_every_way():
     fine, *ways = bake.rows(Options(repeats=1, quick=True))
     assert fine.error is None
     rows = {row.method: row for row in ways}
-    assert rows.keys() == {"cold, 64 pixels", "cold, 128 pixels", "close-ups kept", "nothing changed"}
+    image = "an image of 0.5 mm texels, "
+    pattern = {"cold, 64 pixels", "cold, 128 pixels", "close-ups kept", "nothing changed"}
+    assert rows.keys() == pattern | {f"{image}fine", f"{image}128 pixels at once", f"{image}a first look of 32"}
     usual = rows["cold, 128 pixels"]
     assert rows["cold, 64 pixels"].error > usual.error
     assert rows["close-ups kept"].error == rows["nothing changed"].error == usual.error < -10.0
     assert usual.ratio is None
     assert rows["close-ups kept"].ratio_to == rows["nothing changed"].ratio_to == usual.method
+    assert rows[f"{image}a first look of 32"].ratio_to == f"{image}128 pixels at once"
+    assert rows[f"{image}a first look of 32"].error < -30.0
     assert my_folders() == []
 
 
 def test_what_is_shipped_is_among_the_sizes():
-    assert bake.USUAL == PATCH_PIXELS
+    assert (bake.FIRST, bake.USUAL) == (FIRST_PIXELS, PATCH_PIXELS)
     assert bake.USUAL in bake.PIXELS
 
 

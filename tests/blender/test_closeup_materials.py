@@ -9,7 +9,8 @@ from builders import add_mesh, add_plane, bump_material, datablock_names, math_n
 from closeup_builders import assert_sine, bump_of, bumpy_plane, look, patch, plane_coordinates, principled
 
 from hnf_blender.bridge import closeup as closeup_module
-from hnf_blender.bridge.closeup import flood, looks_flipped, render_closeup, render_closeups
+from hnf_blender.bridge.closeup import looks_flipped, render_closeup, render_closeups
+from hnf_blender.bridge.own_surface import flood
 from hnf_core.errors import SceneError
 
 
