@@ -69,15 +69,15 @@ class Refusal:
 
 @dataclass(frozen=True)
 class Result:
-    """All that a job made. fresh: how many strokes needed nothing. renders: close-ups made. probed: a place was looked
-    at instead, and the answer lies in the folder (jobs.probe)."""
+    """All that a job made. fresh: how many strokes needed nothing. close_ups: made. probed: a place was looked at
+    instead, and the answer lies in the folder (jobs.probe)."""
 
     strokes: tuple[BakedFile, ...]
     meshes: tuple[TokenFile, ...]
     failed: tuple[Refusal, ...]
     warnings: tuple[str, ...]
     fresh: int
-    renders: int
+    close_ups: int
     probed: bool = False
 
 

@@ -38,7 +38,7 @@ PICTURE = "probe"
 
 
 def probe_work(session: Session, place: ProbePlace, cache: Path, folder: Path) -> Generator[Began | Step, None, int]:
-    """Look at place; writes ANSWER_NAME to folder. Yields messages; returns the renders made.
+    """Look at place; writes ANSWER_NAME to folder. Yields messages; returns how many close-ups were made.
 
     Raises HnfError where there is no such place.
     """
@@ -51,7 +51,7 @@ def probe_work(session: Session, place: ProbePlace, cache: Path, folder: Path) -
             yield Step("close-up", 0, 1, next(steps))
         except StopIteration as finished:
             write_bytes(folder / ANSWER_NAME, pack_probe(finished.value, session.scene.name))
-            return counts.renders
+            return counts.close_ups
 
 
 def pack_probe(probed: Probed, scene_name: str) -> bytes:

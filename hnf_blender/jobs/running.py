@@ -227,9 +227,9 @@ def told(result: Result, committed: Committed, seconds: float) -> LastJob:
     problems = [*result.failed, *committed.refused]
     baked = tr("{strokes} baked in {seconds} s")
     parts = [baked.format(strokes=_strokes(len(committed.strokes)), seconds=f"{seconds:.0f}")]
-    if result.renders:
-        said = tr("1 close-up") if result.renders == 1 else tr("{count} close-ups")
-        parts.append(said.format(count=result.renders))
+    if result.close_ups:
+        said = tr("1 close-up") if result.close_ups == 1 else tr("{count} close-ups")
+        parts.append(said.format(count=result.close_ups))
     if result.fresh:
         parts.append(tr("{count} fresh already").format(count=result.fresh))
     message = ", ".join(parts) + "."

@@ -39,8 +39,8 @@ def work_steps(order: Order, folder: Path) -> Steps:
     session = scene_session(*_scene(order), folder)
     if order.probe_object:
         place = ProbePlace(order.probe_object, order.probe_at)
-        renders = yield from probe_work(session, place, Path(order.cache), folder)
-        return Result((), (), (), (), fresh=0, renders=renders, probed=True)
+        close_ups = yield from probe_work(session, place, Path(order.cache), folder)
+        return Result((), (), (), (), fresh=0, close_ups=close_ups, probed=True)
     curves = wanted_curves(session.scene, order.only)
     found = gather_curves(session, curves)
     jobs = [job for job in found.jobs if not is_done(session, job)]
@@ -63,7 +63,7 @@ def work_steps(order: Order, folder: Path) -> Steps:
         failed=tuple(Refusal(failure.stroke, failure.why) for failure in report.failed),
         warnings=tuple(report.warnings),
         fresh=len(found.jobs) - len(jobs),
-        renders=report.counts.renders,
+        close_ups=report.counts.close_ups,
     )
 
 

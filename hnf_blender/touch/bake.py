@@ -96,6 +96,7 @@ def bake_patches(
         for done, (key, patch) in enumerate(wanted.items(), 1):
             if key not in found:
                 closeup = next(closeups)
+                counts.close_ups += 1
                 counts.renders += closeup.renders
                 counts.rays += closeup.rays
                 found[key] = _record(closeup, touched.surface, seeing.measured, counts)

@@ -11,6 +11,8 @@ from hnf_core.tactile.tactile_map import Route
 from .options import with_option
 from .report import Failed, Skipped
 
+LOOKS = 2
+"""Renders of a close-up at most: see closeup.iter_closeups."""
 CLOSEUP_SECONDS, PREDICTION_SECONDS, PICTURE_SECONDS, SYNTHESIS_SECONDS = 0.7, 0.1, 2.5, 0.5
 """Rough cost on two cores, for the estimate only."""
 TYPICAL_PATH_M, PATCH_PITCH_M = 60e-3, 10e-3
@@ -59,13 +61,13 @@ class Fresh:
 
 @dataclass(frozen=True)
 class PlannedProbe:
-    """One place to be looked at. renders: 1, or 0 where the store knows the place. slot: how its relief will come to be
-    known, None where its object has no slots."""
+    """One place to be looked at. close_ups: 1, or 0 where the store knows the place. slot: how its relief will come to
+    be known, None where its object has no slots."""
 
     name: str
     object: str
     material: str
-    renders: int
+    close_ups: int
     slot: SlotPlan | None = None
 
     @property
@@ -85,8 +87,13 @@ class Plan:
 
     @property
     def renders(self) -> int:
-        """Upper bound: one close-up a patch and one picture a stroke; one close-up a probe."""
-        return sum(entry.patches + 1 for entry in self.needed) + sum(entry.renders for entry in self.probes)
+        """Upper bound: a close-up a patch, and one a probe, in two looks at most, and one picture a stroke."""
+        return LOOKS * self.close_ups + len(self.needed)
+
+    @property
+    def close_ups(self) -> int:
+        """Upper bound."""
+        return sum(entry.patches for entry in self.needed) + sum(entry.close_ups for entry in self.probes)
 
     @property
     def predictions(self) -> int:
@@ -95,9 +102,8 @@ class Plan:
 
     @property
     def seconds(self) -> float:
-        closeups = sum(entry.patches for entry in self.needed) + sum(entry.renders for entry in self.probes)
         each = PICTURE_SECONDS + SYNTHESIS_SECONDS
-        return closeups * CLOSEUP_SECONDS + self.predictions * PREDICTION_SECONDS + len(self.needed) * each
+        return self.close_ups * CLOSEUP_SECONDS + self.predictions * PREDICTION_SECONDS + len(self.needed) * each
 
     def as_json(self) -> str:
         estimate = {
@@ -123,7 +129,7 @@ class Plan:
         if self.probes:
             lines.append("Probes:")
             for probe in self.probes:
-                cost = "1 close-up" if probe.renders else "looked at before, nothing to render"
+                cost = "1 close-up" if probe.close_ups else "looked at before, nothing to render"
                 lines.append(f"  {probe.name}: on {probe.object}, {probe.material or 'no material'}; {cost}")
                 lines += [_route_line(probe.slot, probe.predictions)] if probe.slot is not None else []
         lines += ["Fresh:", *(f"  {entry.stroke}: {entry.wav}" for entry in self.fresh)] if self.fresh else []

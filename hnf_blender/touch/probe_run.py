@@ -53,9 +53,9 @@ def with_probes(session: Session, plan: Plan) -> Plan:
             continue
         slot, plans = found.patch.slot, object_plans(session, touched.obj)
         route = plans[slot] if slot < len(plans) else None
-        renders = 0 if is_there else 1
+        close_ups = 0 if is_there else 1
         planned.append(
-            PlannedProbe(place.name, touched.surface.object_name, shader_name(touched, slot), renders, route)
+            PlannedProbe(place.name, touched.surface.object_name, shader_name(touched, slot), close_ups, route)
         )
     return replace(plan, probes=tuple(planned), failed=tuple(failed))
 

@@ -58,9 +58,10 @@ class Failed:
 
 @dataclass
 class Counts:
-    """Work done, not time: renders of any kind, rays and nearest-point queries, F_Θ calls (network_calls), tokens
-    encoded, patches whose relief D_φ estimated (diffusion_calls)."""
+    """Work done, not time: patches looked at (close_ups), renders of any kind, rays and nearest-point queries, F_Θ
+    calls (network_calls), tokens encoded, patches whose relief D_φ estimated (diffusion_calls)."""
 
+    close_ups: int = 0
     renders: int = 0
     rays: int = 0
     network_calls: int = 0

@@ -28,7 +28,7 @@ from hnf_blender.touch.report import Counts, Report
 from hnf_blender.touch.tokens import surface_source
 from hnf_core.errors import SceneError
 
-NOTHING = {"renders": 0, "rays": 0, "network_calls": 0, "tokens": 0, "diffusion_calls": 0}
+NOTHING = {"close_ups": 0, "renders": 0, "rays": 0, "network_calls": 0, "tokens": 0, "diffusion_calls": 0}
 PIXELS = 64
 worked_through = pytest.mark.skipif(
     version() < (5, 0, 0), reason="keys are compared on every Blender; that the work follows them, on one"

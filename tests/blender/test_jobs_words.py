@@ -86,7 +86,7 @@ def test_orders_and_results_come_back(tmp_path) -> None:
         failed=(Refusal("b", "why"),),
         warnings=("note",),
         fresh=3,
-        renders=12,
+        close_ups=12,
     )
     write_result(tmp_path, result)
     assert read_result(tmp_path) == result

@@ -50,7 +50,8 @@ def test_a_photo_without_relief_is_predicted_once_a_patch(tmp_path) -> None:
     assert first.routes == ["predicted"] * 5 + ["prior"] * 2
     patches = len(first.strokes[0].patches)
     counts = first.report.counts
-    assert (counts.diffusion_calls, counts.tokens, counts.renders) == (patches, patches, patches)
+    assert (counts.diffusion_calls, counts.tokens, counts.close_ups) == (patches, patches, patches)
+    assert counts.renders == 2 * patches  # a photo as fine as this is looked at twice
     record = first.strokes[0].records[0]
     assert record.route is Route.PREDICTED
     assert record.predicted.images.shape[1:] == (64, 64, 3)

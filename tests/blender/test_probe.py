@@ -202,7 +202,7 @@ def test_a_second_look_costs_nothing_and_the_plan_says_so(tmp_path, capsys) -> N
     words = ("--probe", f"{PLATE}:0.01,0.02")
     capsys.readouterr()
     touch(scene, out, *words, "--plan", "--json")
-    assert json.loads(capsys.readouterr().out)["probes"][0]["renders"] == 1
+    assert json.loads(capsys.readouterr().out)["probes"][0]["close_ups"] == 1
     _, first = touch(scene, out, *words)
     picture = (out / first["probes"][0]["tactile_map"]["picture"]).read_bytes()
     touch(scene, out, *words, "--plan")

@@ -38,7 +38,8 @@ def test_report_and_files_say_what_was_estimated(tmp_path, weights) -> None:
     assert entry["encoder"] == "band-descriptor-1"
     assert entry["tactile_map_weights"] == load_map_weights(weights).fingerprint
     counts = report["counts"]
-    assert counts["diffusion_calls"] == counts["renders"] - 1 == counts["tokens"] > 0
+    assert counts["diffusion_calls"] == counts["close_ups"] == counts["tokens"] > 0
+    assert counts["renders"] == 2 * counts["close_ups"] + 1  # a first look, a closer one; the stroke's picture
     assert counts["network_calls"] == 1
     signal = signals(out, report)["Along"]
     # Two texels are 0.2 mm: all of a band is shown down to 0.5 mm.
@@ -62,7 +63,7 @@ def test_the_plan_says_which_route_and_what_it_costs(tmp_path, capsys) -> None:
     assert f"{PHOTO_PLATE}: predicted (no relief, but its colour varies), at most 3 patches, 0.3 s" in said
     assert "Ridges: measured (its shader has a relief)" in said
     assert "Bare: prior (its shader has neither relief nor picture)" in said
-    assert "at most 4 renders and 3 predictions" in said
+    assert "at most 7 renders and 3 predictions" in said
     touch(scene, tmp_path / "out", "--plan", "--json")
     plan = json.loads(capsys.readouterr().out)
     assert [slot["route"] for slot in plan["needed"][0]["slots"]] == ["predicted", "measured", "prior"]

@@ -83,10 +83,10 @@ def test_sentences_with_figures_are_german_throughout(monkeypatch) -> None:
     from hnf_blender.jobs.order import Refusal, Result
 
     monkeypatch.setattr(running, "tr", lambda text: GERMAN[text])
-    result = Result((), (), (), (), fresh=1, renders=3)
+    result = Result((), (), (), (), fresh=1, close_ups=3)
     said = running.told(result, Committed(["A", "B"]), 4.2).message
     assert said == "2 Striche in 4 s gebacken, 3 Nahaufnahmen, 1 schon aktuell."
-    nothing = running.told(replace(result, renders=0), Committed(), 1.0).message
+    nothing = running.told(replace(result, close_ups=0), Committed(), 1.0).message
     assert nothing == "Nichts zu backen: 1 Strich schon aktuell."
     problems = tuple(Refusal("C", "warum") for _ in range(3))
     failed = running.told(replace(result, failed=problems), Committed(["A"]), 4.0)
