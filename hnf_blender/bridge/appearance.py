@@ -91,6 +91,13 @@ def closures(layers: Layers | None) -> list[Closure]:
     return closures(layers.first) + closures(layers.second)
 
 
+def factors(layers: Layers | None) -> list[Quantity]:
+    """What the closures are mixed by."""
+    if layers is None or isinstance(layers, Closure):
+        return []
+    return [layers.factor, *factors(layers.first), *factors(layers.second)]
+
+
 def average_appearance(layers: Layers | None, passes: Passes, mask: NDArray[np.bool_]) -> Appearance:
     """Shading values averaged over the pixels in mask."""
     if layers is None or not mask.any():

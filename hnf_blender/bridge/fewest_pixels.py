@@ -7,11 +7,11 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
-from .appearance import closures
+from .appearance import closures, factors
 from .look import COARSEST_WAVE_M
 from .shader_height import Relief, Slopes
 from .stage import SlotReading
-from .taps import Passes
+from .taps import Constant, Passes
 from .texels import finest_texel
 
 Mask = NDArray[np.bool_]
@@ -30,11 +30,13 @@ def detail_of(slot: SlotReading) -> tuple[Relief | Slopes, ...]:
 
 
 def is_of_images(slot: SlotReading) -> bool:
-    """Is all that a slot shows in images, whose texels a first look can measure?"""
+    """Is all that a slot shows in images, whose texels a first look can measure? What reliefs are mixed by has to be
+    the same everywhere: its own detail is not measured."""
     if slot.colour is not None:
         return bool(slot.colour.images) and not (slot.colour.procedural or slot.colour.painted)
     detail = detail_of(slot)
-    return bool(detail) and not any(each.procedural or not each.images for each in detail)
+    of_images = bool(detail) and all(each.images and each.plain and not each.procedural for each in detail)
+    return of_images and all(isinstance(each, Constant) for each in factors(slot.reading.layers))
 
 
 def fewest_pixels(

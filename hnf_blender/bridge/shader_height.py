@@ -7,7 +7,7 @@ from typing import Any
 
 from .node_graph import NodeGraph
 from .taps import Tap, Tapper, constant_value, copy_input
-from .texels import IMAGE, PROCEDURAL, ImageTap, image_tap, made_from
+from .texels import IMAGE, PROCEDURAL, ImageTap, image_tap, is_plain, made_from
 
 BUMP_FACTORS = ("Distance", "Strength")
 
@@ -16,23 +16,25 @@ BUMP_FACTORS = ("Distance", "Strength")
 class Relief:
     """One source of height. tap: the height, VALUE, in Blender units of the world, or of the object where
     in_object_space (it then follows the object's scale). source: for the report. images: what it is made from.
-    procedural: some of it has no texels."""
+    procedural: some of it has no texels. plain: it is no finer than its images' texels, see texels.is_plain."""
 
     tap: Tap
     in_object_space: bool
     source: str
     images: tuple[ImageTap, ...]
     procedural: bool
+    plain: bool
 
 
 @dataclass(frozen=True)
 class Slopes:
-    """A shading normal that no height is known for. tap: world-space normal (COLOR)."""
+    """A shading normal that no height is known for. tap: world-space normal (COLOR). Others: as of a Relief."""
 
     tap: Tap
     source: str
     images: tuple[ImageTap, ...]
     procedural: bool
+    plain: bool
 
 
 @dataclass(frozen=True)
@@ -52,10 +54,11 @@ def from_normal_input(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeo
     _check_normal_map(end.node, tapper.graph, notes)
     images: tuple[ImageTap, ...]
     if end.node.bl_idname == IMAGE:
-        images, procedural = (image_tap(end.node, tapper),), False
+        images, procedural, plain = (image_tap(end.node, tapper),), False, True
     else:
         images, procedural = made_from(tapper, end.node.inputs)
-    slopes = Slopes(tapper.output(end, "COLOR"), _label(end.node, "normals"), images, procedural)
+        plain = is_plain(tapper.graph, end.node.inputs)
+    slopes = Slopes(tapper.output(end, "COLOR"), _label(end.node, "normals"), images, procedural, plain)
     return MicroGeometry(reliefs, (slopes,))
 
 
@@ -100,8 +103,8 @@ def from_displacement(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeo
     height = tapper.product(tree, raised.outputs[0], node.inputs["Scale"])
     images, procedural = made_from(tapper, [node.inputs["Height"]])
     source = f"displacement '{node.name}', {_amount(node, 'Scale')}"
-    in_object_space = node.space == "OBJECT"
-    return MicroGeometry((Relief(tapper.output(height, "VALUE"), in_object_space, source, images, procedural),))
+    in_object_space, plain = node.space == "OBJECT", is_plain(tapper.graph, _relief_inputs(node, "Midlevel", "Scale"))
+    return MicroGeometry((Relief(tapper.output(height, "VALUE"), in_object_space, source, images, procedural, plain),))
 
 
 def _bump(node: Any, tapper: Tapper) -> Relief:
@@ -111,7 +114,12 @@ def _bump(node: Any, tapper: Tapper) -> Relief:
     height = tapper.product(node.id_data, sign, node.inputs["Height"], *factors)
     images, procedural = made_from(tapper, [node.inputs["Height"]])
     source = f"bump '{node.name}', {_amount(node, 'Distance')}, {_amount(node, 'Strength')}"
-    return Relief(tapper.output(height, "VALUE"), False, source, images, procedural)
+    plain = is_plain(tapper.graph, _relief_inputs(node, *BUMP_FACTORS))
+    return Relief(tapper.output(height, "VALUE"), False, source, images, procedural, plain)
+
+
+def _relief_inputs(node: Any, *factors: str) -> list[Any]:
+    return [node.inputs[name] for name in ("Height", *factors)]
 
 
 def _is_off(graph: NodeGraph, node: Any, *factors: str) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .images import picture_size
+from .node_graph import NodeGraph
 from .taps import Passes, Tap, Tapper
 
 Mask = NDArray[np.bool_]
@@ -21,6 +22,16 @@ PROCEDURAL = frozenset({
 })  # fmt: skip
 IMAGE = "ShaderNodeTexImage"
 COORDINATES = frozenset({"ShaderNodeUVMap", "ShaderNodeTexCoord", "ShaderNodeNewGeometry", "ShaderNodeAttribute"})
+
+
+READ_PLAINLY = frozenset({
+    IMAGE, "ShaderNodeNormalMap", "ShaderNodeMath", "ShaderNodeInvert", "ShaderNodeRGBCurve", "ShaderNodeRGBToBW",
+    "ShaderNodeSeparateColor", "ShaderNodeCombineColor", "ShaderNodeSeparateRGB", "ShaderNodeCombineRGB",
+    "ShaderNodeValue", "ShaderNodeRGB",
+})  # fmt: skip
+"""What may stand between an image and a relief without making it finer than its texels."""
+STRAIGHT = frozenset({"ADD", "SUBTRACT", "MULTIPLY", "MULTIPLY_ADD", "DIVIDE"})
+"""Of Math nodes, those without a step."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +67,18 @@ def made_from(tapper: Tapper, sockets: Iterable[Any]) -> tuple[tuple[ImageTap, .
     )
     kinds = {node.bl_idname for node in nodes.values()}
     return images, bool(kinds & PROCEDURAL) or (not images and bool(kinds & COORDINATES))
+
+
+def is_plain(graph: NodeGraph, sockets: Iterable[Any]) -> bool:
+    """Are input sockets made from one image at most, by nothing that draws edges or details into it?
+
+    A step of a ramp is as fine as pixels can be; two images multiplied have waves of both together.
+    """
+    stop = frozenset({IMAGE})
+    nodes = {(node.id_data.name_full, node.name): node for each in sockets for node in graph.upstream(each, stop)}
+    steps = (node for node in nodes.values() if node.bl_idname == "ShaderNodeMath" and node.operation not in STRAIGHT)
+    images = sum(node.bl_idname == IMAGE for node in nodes.values())
+    return images <= 1 and next(steps, None) is None and {node.bl_idname for node in nodes.values()} <= READ_PLAINLY
 
 
 def image_tap(node: Any, tapper: Tapper) -> ImageTap:

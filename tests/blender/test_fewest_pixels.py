@@ -121,6 +121,50 @@ def test_a_pattern_without_texels_is_looked_at_once() -> None:
     assert (close.mask.shape, close.renders) == ((MOST, MOST), 1)
 
 
+def fine_image(tree, texels: int = 400):
+    texture = tree.nodes.new("ShaderNodeTexImage")
+    texture.image = float_image("mask", np.random.default_rng(9).uniform(0.0, 1.0, (texels, texels, 3)))
+    return texture.outputs["Color"]
+
+
+def weighed(tree) -> None:
+    bump = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeBump")
+    tree.links.new(fine_image(tree), bump.inputs["Strength"])
+
+
+def mixed(tree) -> None:
+    output = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeOutputMaterial")
+    mix, plain = tree.nodes.new("ShaderNodeMixShader"), tree.nodes.new("ShaderNodeBsdfDiffuse")
+    tree.links.new(fine_image(tree), mix.inputs[0])
+    tree.links.new(output.inputs["Surface"].links[0].from_socket, mix.inputs[1])
+    tree.links.new(plain.outputs[0], mix.inputs[2])
+    tree.links.new(mix.outputs[0], output.inputs["Surface"])
+
+
+def stepped(tree) -> None:
+    bump = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeBump")
+    ramp = tree.nodes.new("ShaderNodeValToRGB")
+    ramp.color_ramp.interpolation = "CONSTANT"
+    tree.links.new(bump.inputs["Height"].links[0].from_socket, ramp.inputs["Fac"])
+    tree.links.new(ramp.outputs["Color"], bump.inputs["Height"])
+
+
+def cut(tree) -> None:
+    bump = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeBump")
+    step = tree.nodes.new("ShaderNodeMath")
+    step.operation = "GREATER_THAN"
+    tree.links.new(bump.inputs["Height"].links[0].from_socket, step.inputs[0])
+    tree.links.new(step.outputs[0], bump.inputs["Height"])
+
+
+@pytest.mark.parametrize("changed", [weighed, mixed, stepped, cut])
+def test_what_else_has_detail_gets_all_pixels(changed) -> None:
+    obj = plate(1e-3)
+    changed(obj.data.materials[0].node_tree)
+    close = looked(obj)
+    assert (close.mask.shape, close.renders) == ((MOST, MOST), 1)
+
+
 def test_small_faces_are_all_found() -> None:
     few, many = plate(1e-3), looked(plate(1e-3, cuts=99), None)
     close = looked(plate(1e-3, cuts=99))  # faces of 0.4 mm: 50 × 50 of them in two triangles each
