@@ -197,7 +197,7 @@ class Player:
         limits = profile.limits
         if isinstance(target, FileTarget) and endless:
             raise UsageError("what never ends cannot be played into a file.", remedy="Play it once.")
-        sink = sink_of(target, source.rate_hz, limits)
+        sink = sink_of(target, source.rate_hz, limits, source.channels)
         stages = stages_of(profile, source.rate_hz, source.channels)
         stream = Stream(source, sink, limits, block_s=block_s, ahead_blocks=ahead, stages=stages)
         self.stop()

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ..actuators.acceleration import Acceleration, factor, read_acceleration
+from ..actuators.acceleration import Acceleration, factor, read_accelerations
 from ..actuators.compensation import stages_of
 from ..actuators.profile import GENERIC, ActuatorProfile
 from ..actuators.profile_file import profile_at
@@ -39,9 +39,11 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(
         "stream",
         help=HELP["stream"],
-        description="Play a WAV on an actuator, within its limits. Ctrl C stops softly.",
+        description="Play WAVs on an actuator, each channel on one of its own, within its limits. Ctrl C stops softly.",
     )
-    parser.add_argument("wav", type=Path, metavar="FILE.wav", help="mono; m/s² where it says so")
+    parser.add_argument(
+        "wav", type=Path, nargs="+", metavar="FILE.wav", help="m/s² where it says so; several play beside each other"
+    )
     parser.add_argument("--to", required=True, metavar="TARGET", help=FORMS)
     parser.add_argument(
         "--profile", default=GENERIC.name, metavar="NAME|FILE.json",
@@ -66,10 +68,10 @@ def run(arguments: argparse.Namespace) -> int:
     _check(arguments, target)
     profile = profile_at(arguments.profile)
     limits = profile.limits
-    found = read_acceleration(arguments.wav, limits)
+    found = read_accelerations(arguments.wav, limits)
     samples = found.samples * np.float32(gain)
     source, whole_s = _source(samples, found.rate_hz, arguments.loop, arguments.seconds)
-    sink = sink_of(target, found.rate_hz, limits)
+    sink = sink_of(target, found.rate_hz, limits, source.channels)
     # Nobody touches a recording: the resampler may take its time.
     stages = () if arguments.raw else stages_of(profile, found.rate_hz, source.channels)
     block_s = arguments.block / 1e3
@@ -93,7 +95,7 @@ def _check(arguments: argparse.Namespace, target: Target) -> None:
         raise UsageError(f"--seconds {arguments.seconds:g} is no time to play.", remedy="Give more than 0.")
     if not isinstance(target, FileTarget):
         return
-    if target.path.exists() and arguments.wav.exists() and target.path.samefile(arguments.wav):
+    if target.path.exists() and any(wav.exists() and target.path.samefile(wav) for wav in arguments.wav):
         raise UsageError(f"--to {arguments.to} is the file that is read.", remedy="Give another name.")
     if arguments.loop and arguments.seconds is None:
         raise UsageError("--loop into a file never ends.", remedy="Say how long: --seconds 10.")
@@ -114,12 +116,17 @@ def _announcement(
     owed_ms = 1e3 * device.queue_frames / device.rate_hz
     owes = "" if isinstance(parse_target(arguments.to), FileTarget) else f", owes at most {owed_ms:.0f} ms"
     made_up = ", its response made up for" if profile.response is not None and not arguments.raw else ""
+    channels = f" on {found.samples.shape[1]} channels" if found.samples.shape[1] > 1 else ""
     return (
-        f"{arguments.wav}: {found.duration_s:.2f} s at {found.rate_hz:g} Hz, {found.unit}, "
+        f"{_names(arguments)}: {found.duration_s:.2f} s at {found.rate_hz:g} Hz{channels}, {found.unit}, "
         f"largest {found.peak_m_s2:.3g} m/s²\n"
         f"to {device.device}: {device.rate_hz:g} Hz{owes}; gain {arguments.gain:g} dB; "
         f"at most {limits.peak * limits.full_scale_m_s2:.4g} m/s² ({profile.title}){made_up}"
     )
+
+
+def _names(arguments: argparse.Namespace) -> str:
+    return ", ".join(map(str, arguments.wav))
 
 
 def _warn(samples: Samples, profile: ActuatorProfile, gain_db: float) -> None:
@@ -146,7 +153,7 @@ def _watch(stream: Stream, meter: LevelMeter) -> None:
 
 def _told(arguments: argparse.Namespace, profile: ActuatorProfile, report: StreamReport) -> int:
     if arguments.json:
-        record = {"wav": str(arguments.wav), "target": arguments.to, "profile": profile.name, **report.to_json()}
+        record = {"wav": _names(arguments), "target": arguments.to, "profile": profile.name, **report.to_json()}
         print(json.dumps(record, indent=1))
     else:
         print(

@@ -101,8 +101,18 @@ def read_wav(path: Path) -> Signal:
     samples that are not finite.
     """
     path = Path(path)
+    return wav_signal(_bytes_of(path), path)
+
+
+def read_channels(path: Path) -> tuple[Signal, ...]:
+    """As read_wav, of a file with any number of channels: a signal of each."""
+    path = Path(path)
+    return wav_channels(_bytes_of(path), path)
+
+
+def _bytes_of(path: Path) -> bytes:
     try:
-        return wav_signal(path.read_bytes(), path)
+        return path.read_bytes()
     except OSError as error:
         raise FileError(
             f"cannot be read ({error.strerror or error}).", where=str(path), remedy="Check the file's path."
@@ -111,6 +121,16 @@ def read_wav(path: Path) -> Signal:
 
 def wav_signal(data: bytes, path: Path) -> Signal:
     """As read_wav, of the bytes of a file. path: what messages name."""
+    signals = wav_channels(data, path)
+    if len(signals) != 1:
+        raise FileError(
+            f"has {len(signals)} channels, a vibration has one.", where=str(path), remedy="Export one channel as mono."
+        )
+    return signals[0]
+
+
+def wav_channels(data: bytes, path: Path) -> tuple[Signal, ...]:
+    """As read_channels, of the bytes of a file."""
     if len(data) < 12 or data[:4] != b"RIFF" or data[8:12] != b"WAVE":
         raise FileError("is not a RIFF/WAVE file.", where=str(path), remedy="Give a .wav file.")
     form: bytes | None = None
@@ -138,7 +158,7 @@ def wav_signal(data: bytes, path: Path) -> Signal:
         provenance["comment"] = info["ICMT"]
     if not np.isfinite(samples).all():
         raise _damaged(path, "some samples are not finite")
-    return Signal(samples, float(rate), seed, provenance)
+    return tuple(Signal(channel, float(rate), seed, provenance) for channel in samples)
 
 
 def info_chunk(signal: Signal, scale: float = 1.0) -> bytes:
@@ -182,14 +202,12 @@ def _chunks(data: bytes, where: str) -> Iterator[tuple[bytes, bytes]]:
 
 
 def _decode(form: bytes, content: bytes, path: Path) -> tuple[int, NDArray[np.float32]]:
-    """Sample rate and samples."""
+    """Sample rate and samples (channels, n)."""
     kind, channels, rate, _, block, bits = struct.unpack_from("<HHIIHH", form)
     if kind == _EXTENSIBLE and len(form) >= 26:
         kind = struct.unpack_from("<H", form, 24)[0]
-    if channels != 1:
-        raise FileError(
-            f"has {channels} channels, a vibration has one.", where=str(path), remedy="Export one channel as mono."
-        )
+    if channels == 0:
+        raise _damaged(path, "it has no channel")
     if rate == 0:
         raise _damaged(path, "its sample rate is 0")
     if kind not in (_PCM, _IEEE_FLOAT) or bits not in ((8, 16, 24, 32) if kind == _PCM else (32, 64)):
@@ -198,11 +216,12 @@ def _decode(form: bytes, content: bytes, path: Path) -> tuple[int, NDArray[np.fl
             where=str(path),
             remedy="Convert it to PCM or 32-bit float.",
         )
-    if block != bits // 8 or len(content) % block:
+    size = bits // 8
+    if block != channels * size or len(content) % block:
         raise _damaged(path, "its data does not divide into whole samples")
     if kind == _IEEE_FLOAT:
         with np.errstate(over="ignore"):
-            return rate, np.frombuffer(content, f"<f{block}").astype(np.float32)
+            return rate, _apart(np.frombuffer(content, f"<f{size}").astype(np.float32), channels)
     if bits == 8:
         values = np.frombuffer(content, np.uint8).astype(np.float64) - 128.0
     elif bits == 24:
@@ -210,8 +229,13 @@ def _decode(form: bytes, content: bytes, path: Path) -> tuple[int, NDArray[np.fl
         wide[:, 1:] = np.frombuffer(content, np.uint8).reshape(-1, 3)
         values = (wide.view("<i4")[:, 0] >> 8).astype(np.float64)
     else:
-        values = np.frombuffer(content, f"<i{block}").astype(np.float64)
-    return rate, (values / 2.0 ** (bits - 1)).astype(np.float32)
+        values = np.frombuffer(content, f"<i{size}").astype(np.float64)
+    return rate, _apart((values / 2.0 ** (bits - 1)).astype(np.float32), channels)
+
+
+def _apart(samples: NDArray[np.float32], channels: int) -> NDArray[np.float32]:
+    """Samples as they are stored, channel after channel at each moment → (channels, n)."""
+    return samples[None] if channels == 1 else np.ascontiguousarray(samples.reshape(-1, channels).T)
 
 
 @dataclass(frozen=True)

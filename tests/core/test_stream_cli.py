@@ -101,6 +101,43 @@ def test_a_wav_without_a_unit_plays_its_full_scale(tmp_path: Path, capsys: pytes
     assert "without a unit: its 1.0 is played as 30 m/s², full scale" in capsys.readouterr().out
 
 
+def stereo(path: Path, left: np.ndarray, right: np.ndarray, rate: int = 10_000) -> Path:
+    with wave.open(str(path), "wb") as file:
+        file.setparams((2, 2, rate, 0, "NONE", ""))
+        file.writeframes(np.stack([left, right], axis=1).astype("<i2").tobytes())
+    return path
+
+
+def test_channels_and_files_play_beside_each_other(
+    noise: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wave_form = (np.sin(np.arange(10_000) / 9.0) * 8000).astype(np.int16)
+    both = stereo(tmp_path / "both.wav", wave_form, -wave_form)
+    out = tmp_path / "out.wav"
+    assert hnf(noise, both, "--to", f"file:{out}") == 0
+    assert "2.00 s at 10000 Hz on 3 channels, in m/s²; without a unit" in capsys.readouterr().out
+    played = stored(out).reshape(-1, 3).astype(int)
+    assert hnf(noise, "--to", f"file:{tmp_path / 'alone.wav'}") == 0
+    alone = stored(tmp_path / "alone.wav")
+    assert (played[: len(alone), 0] == alone).all()
+    assert np.abs(played[:, 1]).max() == pytest.approx(8000 / 32768 * 32767, rel=0.02)
+    assert (played[:, 1] == -played[:, 2]).all()
+    assert not played[10_100:, 1].any()  # silent where its file has ended
+    assert hnf(noise, both, "--to", f"file:{both}") == 2
+    assert "is the file that is read" in capsys.readouterr().err
+    assert hnf(noise, stereo(tmp_path / "slow.wav", wave_form, wave_form, 8000), "--to", f"file:{out}") == 2
+    assert "files of 8000 and 10000 Hz" in capsys.readouterr().err
+
+
+@needs_pty
+def test_two_strokes_are_felt_on_two_channels(noise: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert hnf(noise, noise, "--to", "virtual", "--seconds", 0.3, "--json") == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["problem"] == ""
+    assert report["played_s"] == pytest.approx(0.3, abs=0.02)
+    assert report["wav"] == f"{noise}, {noise}"
+
+
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [

@@ -172,6 +172,9 @@ def test_every_truncation_is_noticed(tmp_path: Path) -> None:
     ("form", "data", "why"),
     [
         (struct.pack("<HHIIHH", 1, 2, 8000, 32000, 4, 16), bytes(8), "2 channels"),
+        (struct.pack("<HHIIHH", 1, 0, 8000, 16000, 2, 16), bytes(8), "no channel"),
+        (struct.pack("<HHIIHH", 1, 2, 8000, 32000, 4, 16), bytes(6), "whole samples"),
+        (struct.pack("<HHIIHH", 1, 3, 8000, 32000, 4, 16), bytes(12), "whole samples"),
         (struct.pack("<HHIIHH", 1, 1, 0, 0, 2, 16), bytes(8), "sample rate is 0"),
         (struct.pack("<HHIIHH", 2, 1, 8000, 0, 1, 4), bytes(8), "encoding"),
         (struct.pack("<HHIIHH", 1, 1, 8000, 16000, 2, 16), bytes(7), "whole samples"),
