@@ -20,6 +20,7 @@ def tick(context: Any, stamp: str = "", signal: Signal | None = None) -> None:
     """Called by the preview's timer: take in what the processes said, tell the panel. Some comparisons while none
     runs. signal: that the preview shows, known by its stamp; None where it shows none."""
     global _shown_at
+    from ..props.profile_file import FILE
     from ..props.scene import actuator_of
     from ..state.redraw import redraw_tab
     from .choice import chosen_output
@@ -32,8 +33,10 @@ def tick(context: Any, stamp: str = "", signal: Signal | None = None) -> None:
     profile = actuator_of(context.scene)
     found = FINDER.tick()
     told = LINK.tick()
-    if SKIN.look((stamp, profile), signal if chosen_output(context) == VIRTUAL else None, profile):
-        ACTUATOR.skin, found = () if SKIN.shown is None else words(SKIN.shown), True
+    virtual = chosen_output(context) == VIRTUAL
+    worth = signal if virtual or context.scene.hnf.actuator == FILE else None
+    if SKIN.look((stamp, profile, virtual), worth, profile, virtual=virtual):
+        ACTUATOR.skin, found = words(SKIN.shown), True
     if told or (ACTUATOR.facts.phase, ACTUATOR.facts.problem) != (phase_of(LINK), LINK.problem):
         facts = facts_of(LINK, profile)
         at_once = (facts.phase, facts.problem) != (ACTUATOR.facts.phase, ACTUATOR.facts.problem)

@@ -44,8 +44,8 @@ class ActuatorFacts(NamedTuple):
 class ActuatorState:
     """chosen: target where there are no preferences to keep it. outputs: devices as last looked for; looked: whether
     they were; seeking: they are looked for now. without: Python packages that are not there or cannot be loaded;
-    missing: the same in sentences. skin: what a skin would get of the shown stroke on the virtual actuator, in
-    words."""
+    missing: the same in sentences. skin: what a skin would get of the shown stroke on the virtual actuator, and
+    on one that was measured, in words."""
 
     def __init__(self) -> None:
         self.chosen = SPEAKERS

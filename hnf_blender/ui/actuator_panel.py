@@ -9,7 +9,7 @@ import bpy
 from hnf_core.actuators.profile import OWN, ActuatorProfile
 
 from ..actuator.choice import chosen_output, outputs, plays_whole, title_of
-from ..actuator.state import ACTUATOR, SPEAKERS, VIRTUAL, ActuatorFacts, Phase
+from ..actuator.state import ACTUATOR, SPEAKERS, ActuatorFacts, Phase
 from ..props.profile_file import FILE
 from ..props.scene import actuator_of
 from ..translations import tr
@@ -56,6 +56,8 @@ class HNF_PT_actuator(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noq
             for line in profile_lines(profile):
                 paragraph(column, context, line, icon="DOT")
             paragraph(layout, context, tr("Source: {source}").format(source=profile.source), icon="INFO")
+        for line in ACTUATOR.skin:
+            paragraph(layout, context, line, icon="VIEW_PAN")
         draw_output(layout, context)
 
 
@@ -91,9 +93,6 @@ def draw_output(layout: Any, context: Any) -> None:
         return
     facts = ACTUATOR.facts
     draw_status(layout, context, facts)
-    if target == VIRTUAL:
-        for line in ACTUATOR.skin:
-            paragraph(layout, context, line, icon="VIEW_PAN")
     draw_live(layout, context, facts)
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from player_builders import RATE_HZ, tone
 
-from hnf_blender.actuator.skin import Skin, felt
+from hnf_blender.actuator.skin import Shown, Skin, felt, shown_of, words
 from hnf_blender.props.profile_file import profile_in_file
 from hnf_core.actuators.profile import GENERIC
 from hnf_core.actuators.profile_file import read_profile, write_profile
@@ -31,9 +31,43 @@ def test_a_skin_gets_what_a_measured_response_is_made_up_for(tmp_path) -> None:
     until = time.monotonic() + LIMIT_S
     while not skin.look("once", signal, shown) and time.monotonic() < until:
         time.sleep(0.01)
-    assert skin.shown == felt(signal, read_profile(tmp_path / "mine.json"))
-    assert skin.shown.rms > 1.2 * felt(signal, GENERIC).rms
+    assert skin.shown is not None
+    assert skin.shown.felt == felt(signal, read_profile(tmp_path / "mine.json"))
+    assert skin.shown.felt.rms > 1.2 * felt(signal, GENERIC).rms
     (tmp_path / "mine.json").unlink()
     assert skin.look("gone", signal, shown)  # what was shown is not true any more
     time.sleep(0.3)
     assert (skin.look("gone", signal, shown), skin.shown) == (False, None)
+
+
+def measured(level_db: float):
+    """An actuator that loses level_db everywhere above 100 Hz, and gives too much of the rest."""
+    frequency = np.geomspace(20.0, 1000.0, 60)
+    level = np.where(frequency > 100.0, level_db, -level_db)
+    return replace(GENERIC, name="mine", response=Response(frequency, level, np.zeros(60), np.ones(60)))
+
+
+def noise(seconds: float = 2.0) -> Signal:
+    samples = np.random.default_rng(2).normal(0.0, 0.5, round(seconds * RATE_HZ)).astype(np.float32)
+    return Signal(samples, RATE_HZ, seed=2)
+
+
+def test_bands_after_a_measured_actuator_are_told_with_and_without_its_filter() -> None:
+    shown = shown_of(noise(), measured(-8.0), virtual=False)
+    assert shown.felt is None
+    assert shown.without is not None
+    assert shown.made_up is not None
+    assert 7.0 < shown.without.rms <= shown.without.most < 9.5
+    assert shown.made_up.rms < 0.25 * shown.without.rms
+    (line,) = words(shown)
+    assert f"off by {shown.made_up.rms:.1f} dB" in line
+
+
+def test_where_nothing_was_measured_nothing_is_told_of_bands() -> None:
+    assert shown_of(noise(0.1), GENERIC, virtual=False) == Shown()
+    assert words(Shown()) == words(None) == ()
+
+
+def test_a_silent_stroke_has_no_bands() -> None:
+    silent = Signal(np.zeros(2000, dtype=np.float32), RATE_HZ, seed=0)
+    assert shown_of(silent, measured(-8.0), virtual=False) == Shown()
