@@ -10,9 +10,9 @@ from typing import Any
 from .. import compat
 from .appearance import BSDFS, GLOWING, Closures
 from .node_graph import NodeGraph
-from .shader_height import displaces, normal_chain
+from .shader_height import displaces, normal_chain, relief_inputs
 from .taps import Tapper
-from .texels import IMAGE, PROCEDURAL, ImageTap, made_from
+from .texels import IMAGE, PROCEDURAL, ImageTap, is_plain, made_from
 
 PAINTED = frozenset({"ShaderNodeVertexColor", "ShaderNodeAttribute"})
 PLACED = PROCEDURAL | PAINTED | {IMAGE, "ShaderNodeTexCoord", "ShaderNodeUVMap", "ShaderNodeNewGeometry"}
@@ -47,6 +47,24 @@ def shows(material: Any) -> Shows:
     if has_relief(graph):
         return Shows.RELIEF
     return Shows.PICTURE if _kinds(graph, colour_sockets(graph)) & PLACED else Shows.NOTHING
+
+
+def reads_plainly(material: Any) -> bool:
+    """Is its relief that of images, read so that a first look can tell how fine they are (see fewest_pixels)? Without a
+    copy and without a render, as shows()."""
+    if material is None or not compat.use_nodes(material):
+        return False
+    graph = NodeGraph(material, own_groups=False)
+    if graph.output is None or not has_relief(graph):
+        return False
+    closures, factors = _surface(graph)
+    chains = [normal_chain(graph, node.inputs["Normal"]) for node in closures if "Normal" in node.inputs]
+    inputs = [relief_inputs(bump) for bumps, _ in chains for bump in bumps]
+    inputs += [list(end.node.inputs) for _, end in chains if end is not None and end.node.bl_idname != IMAGE]
+    if displaces(graph, graph.output.inputs["Displacement"]):
+        inputs.append(relief_inputs(graph.source_node(graph.output.inputs["Displacement"])))
+    even = not any(graph.resolve(factor).is_output for factor in factors)
+    return even and all(is_plain(graph, each) for each in inputs)
 
 
 def has_relief(graph: NodeGraph) -> bool:

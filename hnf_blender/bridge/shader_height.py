@@ -103,7 +103,7 @@ def from_displacement(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeo
     height = tapper.product(tree, raised.outputs[0], node.inputs["Scale"])
     images, procedural = made_from(tapper, [node.inputs["Height"]])
     source = f"displacement '{node.name}', {_amount(node, 'Scale')}"
-    in_object_space, plain = node.space == "OBJECT", is_plain(tapper.graph, _relief_inputs(node, "Midlevel", "Scale"))
+    in_object_space, plain = node.space == "OBJECT", is_plain(tapper.graph, relief_inputs(node))
     return MicroGeometry((Relief(tapper.output(height, "VALUE"), in_object_space, source, images, procedural, plain),))
 
 
@@ -114,11 +114,13 @@ def _bump(node: Any, tapper: Tapper) -> Relief:
     height = tapper.product(node.id_data, sign, node.inputs["Height"], *factors)
     images, procedural = made_from(tapper, [node.inputs["Height"]])
     source = f"bump '{node.name}', {_amount(node, 'Distance')}, {_amount(node, 'Strength')}"
-    plain = is_plain(tapper.graph, _relief_inputs(node, *BUMP_FACTORS))
+    plain = is_plain(tapper.graph, relief_inputs(node))
     return Relief(tapper.output(height, "VALUE"), False, source, images, procedural, plain)
 
 
-def _relief_inputs(node: Any, *factors: str) -> list[Any]:
+def relief_inputs(node: Any) -> list[Any]:
+    """What a Bump or a Displacement node makes its height from."""
+    factors = BUMP_FACTORS if node.bl_idname == "ShaderNodeBump" else ("Midlevel", "Scale")
     return [node.inputs[name] for name in ("Height", *factors)]
 
 

@@ -11,7 +11,7 @@ from ..bridge.storage import token_bytes
 from ..bridge.strokes import stroke_objects
 from ..state.session import STATE, Freshness, PlanLine, PlanView, StrokeStatus
 from ..touch.jobs import Gathered, Job, Session, gather_curves, look_around
-from ..touch.plan import CLOSEUP_SECONDS, PREDICTION_SECONDS, SYNTHESIS_SECONDS, patches_at_most
+from ..touch.plan import PREDICTION_SECONDS, SYNTHESIS_SECONDS, closeup_seconds, patches_at_most
 from ..touch.routes import slot_plans
 from ..touch.stored import judge, stored_bytes
 from ..translations import tr
@@ -40,9 +40,10 @@ def make_plan(scene: Any, view_layer: Any) -> PlanView:
             lines.append(PlanLine("fresh", stroke.format(name=job.name), status.why))
             continue
         patches = patches_at_most(0.0 if job.stroke is None else job.stroke.length_m)
-        pictured = [slot for slot in slot_plans(session, job) if slot.route is Route.PREDICTED]
+        slots = slot_plans(session, job)
+        pictured = [slot for slot in slots if slot.route is Route.PREDICTED]
         estimated.update(dict.fromkeys(slot.material for slot in pictured))
-        seconds += patches * (CLOSEUP_SECONDS + (PREDICTION_SECONDS if pictured else 0.0)) + SYNTHESIS_SECONDS
+        seconds += patches * (closeup_seconds(slots) + (PREDICTION_SECONDS if pictured else 0.0)) + SYNTHESIS_SECONDS
         needed.append(job)
         what = tr("stroke '{name}' on '{surface}'").format(name=job.name, surface=job.object_name)
         lines.append(PlanLine("needed", what, _why(status)))

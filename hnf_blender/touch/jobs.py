@@ -25,7 +25,7 @@ from ..bridge.own_material import own_word
 from ..bridge.owner import owner_text, reads_of
 from ..bridge.picture_names import picture_names
 from ..bridge.placement import default_slots, place_primitive
-from ..bridge.shader_colour import Shows, shows
+from ..bridge.shader_colour import Shows, reads_plainly, shows
 from ..bridge.splat_cloud import cloud_hash, cloud_of, is_cloud, notes_of, source_of
 from ..bridge.strokes import SceneStroke, path_hash, read_stroke, stroke_objects, touch_hash
 from .bake import PATCH_PIXELS, TouchedObject
@@ -67,8 +67,8 @@ class Job:
 @dataclass(frozen=True)
 class SurfaceFacts:
     """What the plan knows of an object without a triangle of it. materials: names by slot. shows: what each slot's
-    shader, or its splats, can tell of its relief. chosen, shape_hash, shader_hashes, owner_hash, pictures, splats: see
-    TouchedObject."""
+    shader, or its splats, can tell of its relief. plainly: whether that is read off images as they are. chosen,
+    shape_hash, shader_hashes, owner_hash, pictures, splats: see TouchedObject."""
 
     materials: tuple[str, ...]
     chosen: tuple[str | MaterialFile, ...]
@@ -76,6 +76,7 @@ class SurfaceFacts:
     shader_hashes: tuple[str, ...]
     owner_hash: str
     shows: tuple[Shows, ...]
+    plainly: tuple[bool, ...]
     pictures: tuple[tuple[str, ...], ...]
     splats: str = ""
 
@@ -168,6 +169,7 @@ class Session:
                 shader_hashes=tuple(material_hash(material, self.scene.frame_current) for material in slots),
                 owner_hash=owner_text(obj, self.scene, slots, reads) + owned,
                 shows=shown if cloud is None else tuple(_in_splats(each) for each in shown),
+                plainly=tuple(reads_plainly(material) for material in slots),
                 pictures=tuple(picture_names(material) for material in slots),
                 splats="" if cloud is None else source_of(cloud),
             )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 
 from hnf_core.tactile.tactile_map import Route
@@ -13,7 +13,9 @@ from .report import Failed, Skipped
 
 LOOKS = 2
 """Renders of a close-up at most: see closeup.iter_closeups."""
-CLOSEUP_SECONDS, PREDICTION_SECONDS, PICTURE_SECONDS, SYNTHESIS_SECONDS = 0.7, 0.1, 2.5, 0.5
+PATTERN_SECONDS, IMAGE_SECONDS = 0.7, 0.2
+"""Of a close-up with all pixels, and of one that a first look nearly suffices for."""
+PREDICTION_SECONDS, PICTURE_SECONDS, SYNTHESIS_SECONDS = 0.1, 1.8, 0.4
 """Rough cost on two cores, for the estimate only."""
 TYPICAL_PATH_M, PATCH_PITCH_M = 60e-3, 10e-3
 
@@ -25,11 +27,18 @@ def patches_at_most(length_m: float) -> int:
 
 @dataclass(frozen=True)
 class SlotPlan:
-    """How the relief of a slot will come to be known. material: the Blender material's name."""
+    """How the relief of a slot will come to be known. material: the Blender material's name. seconds: of one close-up,
+    roughly."""
 
     material: str
     route: Route
     why: str
+    seconds: float = PATTERN_SECONDS
+
+
+def closeup_seconds(slots: Iterable[SlotPlan]) -> float:
+    """Of one close-up on any of these slots."""
+    return max((slot.seconds for slot in slots), default=PATTERN_SECONDS)
 
 
 @dataclass(frozen=True)
@@ -102,8 +111,12 @@ class Plan:
 
     @property
     def seconds(self) -> float:
-        each = PICTURE_SECONDS + SYNTHESIS_SECONDS
-        return self.close_ups * CLOSEUP_SECONDS + self.predictions * PREDICTION_SECONDS + len(self.needed) * each
+        stroke = PICTURE_SECONDS + SYNTHESIS_SECONDS
+        looks = sum(entry.patches * closeup_seconds(entry.slots) for entry in self.needed)
+        looks += sum(
+            each.close_ups * closeup_seconds(() if each.slot is None else (each.slot,)) for each in self.probes
+        )
+        return looks + self.predictions * PREDICTION_SECONDS + len(self.needed) * stroke
 
     def as_json(self) -> str:
         estimate = {

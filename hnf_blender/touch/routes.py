@@ -8,7 +8,7 @@ from hnf_core.tactile.tactile_map import Route
 
 from ..bridge.shader_colour import Shows
 from .jobs import Job, Session
-from .plan import SlotPlan
+from .plan import IMAGE_SECONDS, PATTERN_SECONDS, SlotPlan
 
 CHOSEN = "chosen by the artist"
 
@@ -29,15 +29,16 @@ def object_plans(session: Session, obj: Any, material: str = "") -> tuple[SlotPl
     facts = session.facts(obj)
     why = f"no relief, but splats of {facts.splats} show it" if facts.splats else "no relief, but its colour varies"
     return tuple(
-        _slot_plan(facts.materials[slot], shown, chosen, session.seeing.missing, why)
+        _slot_plan(facts.materials[slot], shown, chosen, session.seeing.missing, why, facts.plainly[slot])
         for slot, (shown, chosen) in enumerate(session.outlook(obj, material))
     )
 
 
-def _slot_plan(material: str, shown: Shows, chosen: bool, missing: str, seen: str) -> SlotPlan:
-    """seen: what there is to estimate a relief from."""
+def _slot_plan(material: str, shown: Shows, chosen: bool, missing: str, seen: str, plainly: bool) -> SlotPlan:
+    """seen: what there is to estimate a relief from. plainly: its relief is read off images as they are."""
     if shown is Shows.RELIEF:
-        return SlotPlan(material, Route.MEASURED, "its shader has a relief")
+        seconds = IMAGE_SECONDS if plainly else PATTERN_SECONDS
+        return SlotPlan(material, Route.MEASURED, "its shader has a relief", seconds)
     if shown is Shows.PICTURE and not chosen:
         if missing:
             return SlotPlan(material, Route.PRIOR, missing)

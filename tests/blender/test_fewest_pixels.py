@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from hnf_blender.bridge.closeup import iter_closeups
 from hnf_blender.bridge.fewest_pixels import PIXELS_A_TEXEL, PIXELS_A_TRIANGLE, fewest_pixels
 from hnf_blender.bridge.look import COARSEST_WAVE_M
-from hnf_blender.bridge.shader_colour import ColourSources
+from hnf_blender.bridge.shader_colour import ColourSources, reads_plainly
 from hnf_blender.bridge.stage import SlotReading
 from hnf_blender.bridge.taps import Tap
 from hnf_blender.bridge.texels import ImageTap
@@ -117,7 +117,9 @@ def test_between_them_it_takes_what_is_between() -> None:
 
 
 def test_a_pattern_without_texels_is_looked_at_once() -> None:
-    close = looked(plate(1e-3, procedural=True))
+    obj = plate(1e-3, procedural=True)
+    assert not reads_plainly(obj.data.materials[0])
+    close = looked(obj)
     assert (close.mask.shape, close.renders) == ((MOST, MOST), 1)
 
 
@@ -160,7 +162,9 @@ def cut(tree) -> None:
 @pytest.mark.parametrize("changed", [weighed, mixed, stepped, cut])
 def test_what_else_has_detail_gets_all_pixels(changed) -> None:
     obj = plate(1e-3)
+    assert reads_plainly(obj.data.materials[0])
     changed(obj.data.materials[0].node_tree)
+    assert not reads_plainly(obj.data.materials[0])
     close = looked(obj)
     assert (close.mask.shape, close.renders) == ((MOST, MOST), 1)
 

@@ -75,7 +75,7 @@ def test_tokens_survive_saving_and_a_second_run_does_nothing(tmp_path) -> None:
     written = {path.name: path.stat().st_mtime_ns for path in out.glob("*.wav")}
     code, second = touch(scene, out)
     assert code == 0
-    assert second["counts"] == {"renders": 0, "rays": 0, "network_calls": 0, "tokens": 0, "diffusion_calls": 0}
+    assert not any(second["counts"].values()), second["counts"]
     assert [stroke["fresh"] for stroke in second["strokes"]] == [True, True]
     assert {path.name: path.stat().st_mtime_ns for path in out.glob("*.wav")} == written
 
@@ -122,7 +122,7 @@ def test_moving_the_camera_or_a_neighbour_keeps_everything_fresh(tmp_path) -> No
     del neighbour
     save_scene(scene)
     _, second = touch(scene, out)
-    assert second["counts"] == {"renders": 0, "rays": 0, "network_calls": 0, "tokens": 0, "diffusion_calls": 0}
+    assert not any(second["counts"].values()), second["counts"]
 
 
 def test_doubled_force_is_louder_and_no_bump_is_different(tmp_path) -> None:
@@ -259,7 +259,7 @@ def test_primitives_are_placed_where_named(tmp_path) -> None:
     assert any("Other" in skipped["what"] for skipped in report["skipped"])
     code, again = touch(scene, out, *words)
     assert code == 0
-    assert again["counts"] == {"renders": 0, "rays": 0, "network_calls": 0, "tokens": 0, "diffusion_calls": 0}
+    assert not any(again["counts"].values()), again["counts"]
 
 
 def test_a_thousand_neighbours_cost_no_work(tmp_path) -> None:
