@@ -129,4 +129,4 @@ def test_a_second_run_does_nothing(touched) -> None:
     )
     code, report = touch(scene, out)
     assert code == 0
-    assert report["counts"] == {"renders": 0, "rays": 0, "network_calls": 0, "tokens": 0, "diffusion_calls": 0}
+    assert not any(report["counts"].values()), report["counts"]
