@@ -45,9 +45,9 @@ class Speakers:
     def go_on_as(self, samples: NDArray[np.float32], rate: float, *, loop: bool = False) -> None:
         """As sound(), at the place where it is now; what is paused stays so."""
         at, paused = self.position_s, self.is_paused
-        self.sound(samples, rate, loop=loop, start_s=min(at, len(samples) / rate))
+        self.sound(samples, rate, loop=loop, start_s=min(at, len(samples) / rate), held=paused)
         if paused:
-            self._hold(at)
+            self._paused_at = at
 
     def sound(
         self,
@@ -57,20 +57,22 @@ class Speakers:
         loop: bool = False,
         start_s: float = 0.0,
         alone: bool = False,
+        held: bool = False,
     ) -> None:
         """Sound samples (n, channels), −1 … 1, from start_s on, in place of what sounds: that fades out meanwhile, or
-        before where they are to be alone. Raises SceneError without a sound device."""
+        before where they are to be alone. held: not yet, resume() lets them go. Raises SceneError without a sound
+        device."""
         self.stop()
         aud = audio()
         sound = aud.Sound.buffer(np.ascontiguousarray(samples, dtype=np.float32), rate)
         was_open = self._device is not None
         try:
-            self._handle = self._begun(aud, sound, later=alone and bool(self._fading))
+            self._handle = self._begun(aud, sound, later=held or (alone and bool(self._fading)))
         except Exception as error:  # aud.error, and what else a driver raises
             if not was_open:
                 raise SceneError(f"the sound device does not play ({error}).", remedy=NO_SOUND) from error
             # The one that was open is gone: unplugged, or Blender took another.
-            self.sound(samples, rate, loop=loop, start_s=start_s, alone=alone)
+            self.sound(samples, rate, loop=loop, start_s=start_s, alone=alone, held=held)
             return
         if loop:
             self._handle.loop_count = -1
@@ -79,6 +81,8 @@ class Speakers:
             raise SceneError("there is no sound device.", remedy=NO_SOUND)
         if start_s > 0.0:
             self._seek(start_s)
+        if held:
+            self._begins_at = None
 
     def _begun(self, aud: Any, sound: Any, *, later: bool) -> Any:
         try:
@@ -152,7 +156,7 @@ class Speakers:
         for handle in over:
             if handle is self._handle:
                 handle.pause()
-            else:
+            elif handle.status:
                 handle.stop()
         if self._begins_at is not None and now >= self._begins_at:
             self._begins_at = None

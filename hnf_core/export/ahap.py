@@ -259,12 +259,13 @@ def _curves(name: str, time: Float, value: Float, points: Index) -> Iterator[dic
     """Curves of at most POINTS_A_CURVE points, each starting where the last ended."""
     for first in range(0, max(1, len(points) - 1), POINTS_A_CURVE - 1):
         part = points[first : first + POINTS_A_CURVE]
-        start = round(float(time[part[0]]), _DIGITS)
+        # Rounded on the pattern's time first: the difference of a rounded and an exact one may lie before the start.
+        at = [round(float(time[point]), _DIGITS) for point in part]
         rows = [
-            {"Time": round(float(time[at]) - start, _DIGITS), "ParameterValue": round(float(value[at]), _DIGITS)}
-            for at in part
+            {"Time": round(when - at[0], _DIGITS), "ParameterValue": round(float(value[point]), _DIGITS)}
+            for point, when in zip(part, at, strict=True)
         ]
-        yield {"ParameterCurve": {"ParameterID": name, "Time": start, "ParameterCurveControlPoints": rows}}
+        yield {"ParameterCurve": {"ParameterID": name, "Time": at[0], "ParameterCurveControlPoints": rows}}
 
 
 def _event(kind: str, at: float, intensity: float, sharpness: float, **more: float) -> dict[str, Any]:

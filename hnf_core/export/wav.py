@@ -220,7 +220,7 @@ def _decode(form: bytes, content: bytes, path: Path) -> tuple[int, NDArray[np.fl
     if block != channels * size or len(content) % block:
         raise _damaged(path, "its data does not divide into whole samples")
     if kind == _IEEE_FLOAT:
-        with np.errstate(over="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):  # refused by their number, later
             return rate, _apart(np.frombuffer(content, f"<f{size}").astype(np.float32), channels)
     if bits == 8:
         values = np.frombuffer(content, np.uint8).astype(np.float64) - 128.0

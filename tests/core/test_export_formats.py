@@ -110,6 +110,7 @@ def android_accepts(record: dict[str, Any], duration_s: float) -> None:
 
 
 @given(samples=SAMPLES, rate=RATES)
+@example(samples=np.eye(1, 231, dtype=np.float32)[0], rate=48_000.0)  # a curve begins between two microseconds
 @settings(max_examples=60, deadline=None)
 def test_files_fit_their_published_rules(
     samples: np.ndarray, rate: float, tmp_path_factory: pytest.TempPathFactory

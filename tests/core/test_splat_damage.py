@@ -132,6 +132,25 @@ def test_a_cut_file_says_how_much_is_there(whole: dict[str, Path], tmp_path: Pat
             iter_readings(path)
 
 
+@pytest.mark.parametrize(("layout", "numbers"), [("inria", 17), ("compressed", 18)])
+def test_a_signalling_nan_is_no_worse_than_another(
+    whole: dict[str, Path], tmp_path: Path, layout: str, numbers: int
+) -> None:
+    """Bits that complain when float32 is widened; numpy warns of it."""
+    data, path = whole[layout].read_bytes(), tmp_path / "a.ply"
+    begin = read_ply_header(whole[layout]).data_at
+    for number in range(numbers):
+        at = begin + 4 * number
+        path.write_bytes(data[:at] + b"\x00\x00\xa0\x7f" + data[at + 4 :])
+        try:
+            splats = read_splats(path)
+        except FileError:
+            refusal(path)
+            continue
+        assert len(splats) > 0
+        assert all(np.isfinite(getattr(splats, name)).all() for name in FIELDS)
+
+
 @pytest.mark.parametrize("layout", LAYOUTS)
 @in_a_folder(60)
 @given(data=st.data())

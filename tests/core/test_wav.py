@@ -171,6 +171,7 @@ def test_every_truncation_is_noticed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("form", "data", "why"),
     [
+        (struct.pack("<HHIIHH", 3, 1, 8000, 64000, 8, 64), b"\x01\0\0\0\0\0\xf0\x7f", "not finite"),  # signalling
         (struct.pack("<HHIIHH", 1, 2, 8000, 32000, 4, 16), bytes(8), "2 channels"),
         (struct.pack("<HHIIHH", 1, 0, 8000, 16000, 2, 16), bytes(8), "no channel"),
         (struct.pack("<HHIIHH", 1, 2, 8000, 32000, 4, 16), bytes(6), "whole samples"),

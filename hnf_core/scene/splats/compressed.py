@@ -87,9 +87,9 @@ def _fractions(words: NDArray[np.uint32], fields: tuple[tuple[int, int], ...]) -
 
 
 def _between(bounds: Rows, names: tuple[str, ...], fractions: Float) -> Float:
-    low, high = np.split(columns(bounds, names).astype(np.float64), 2, axis=1)
-    # Infinite bounds give NaN, which is dropped and counted later.
+    # Infinite bounds give NaN, which is dropped and counted later; a signalling NaN complains when it is widened.
     with np.errstate(invalid="ignore"):
+        low, high = np.split(columns(bounds, names).astype(np.float64), 2, axis=1)
         return np.asarray(low * (1.0 - fractions) + high * fractions)
 
 

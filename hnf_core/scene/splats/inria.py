@@ -71,8 +71,9 @@ def columns(rows: Rows, names: Sequence[str]) -> Real:
     """(N, len(names)) float32, or float64 where a column is."""
     wide = any(rows.dtype[name].itemsize == 8 for name in names)
     table: Real = np.empty((len(rows), len(names)), dtype=np.float64 if wide else np.float32)
-    for number, name in enumerate(names):
-        table[:, number] = rows[name]
+    with np.errstate(invalid="ignore"):  # a signalling NaN complains when it is widened
+        for number, name in enumerate(names):
+            table[:, number] = rows[name]
     return table
 
 
@@ -84,7 +85,8 @@ def join_harmonics(constant: Real, rest: Real) -> Real:
 
 def logistic(logits: Real) -> NDArray[np.float64]:
     """1 / (1 + e^−x) without overflow; 0 and 1 at ∓∞."""
-    small = np.exp(-np.abs(logits.astype(np.float64)))
+    with np.errstate(invalid="ignore"):  # a signalling NaN complains when it is widened
+        small = np.exp(-np.abs(logits.astype(np.float64)))
     return np.asarray(np.where(logits >= 0.0, 1.0, small) / (1.0 + small))
 
 
