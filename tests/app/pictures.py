@@ -45,7 +45,7 @@ CHOSEN: dict[str, Cut] = {
     "panel-materials": Cut("panels/baked", (767, 369, 1021, 662)),
     "panel-strokes": Cut("tutorial/heard", (830, 534, 1090, 1024)),
     "panel-export": Cut("panels/used-3", (767, 379, 1020, 837)),
-    "panel-actuator": Cut("actuator/playing", (717, 250, 1022, 775)),
+    "panel-actuator": Cut("actuator/playing", (717, 250, 1022, 757)),
     "panel-diagnose": Cut("panels/open-3", (767, 1553, 1020, 1736)),
     "assets": Cut("extension/asset-browser", (250, 55, 1255, 330)),
     "learn": Cut("learning/dialog-filled", (487, 432, 935, 653)),
