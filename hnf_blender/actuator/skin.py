@@ -97,8 +97,8 @@ def words(shown: Shown | None) -> tuple[str, ...]:
             lines.append(tr("{count} samples would be held back by the limits").format(count=found.held_back))
     if shown is not None and shown.without is not None and shown.made_up is not None:
         said = tr(
-            "After it, bands of this stroke are off by {rms} dB, at most {most} dB; not made up for, {plain} and "
-            "{worst} dB"
+            "On this actuator the stroke's bands are off by {rms} dB, at most {most} dB; without its inverse filter "
+            "{plain} and {worst} dB"
         )
         with_it, plain = (
             {"rms": f"{one.rms:.1f}", "most": f"{one.most:.1f}"} for one in (shown.made_up, shown.without)

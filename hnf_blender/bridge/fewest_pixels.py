@@ -50,7 +50,7 @@ def fewest_pixels(
     """
     side = mask.shape[1]
     if not mask.any():
-        return side
+        return most
     sources = detail_of(slot) if slot.colour is None else (slot.colour,)
     texel = finest_texel(sources, passes, mask, size_m / side)
     if not np.isfinite(texel) or (slot.colour is not None and 2.0 * texel <= COARSEST_WAVE_M):

@@ -70,7 +70,7 @@ def patch_key(touched: TouchedObject, patch: Patch, encoder: str) -> str:
     names = repr((touched.surface.materials[here], touched.pictures[here]))
     return content_hash(
         names, touched.shape_hash, shader, touched.owner_hash, place.tobytes(), f"{patch.slot} {patch.size_m:.9g}",
-        f"{__version__} {PATCH_PIXELS} {SENSOR} {encoder} {STORE_VERSION} {touched.frame}",
+        f"{__version__} {PATCH_PIXELS} {FIRST_PIXELS} {SENSOR} {encoder} {STORE_VERSION} {touched.frame}",
     )  # fmt: skip
 
 

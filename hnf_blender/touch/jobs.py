@@ -28,7 +28,7 @@ from ..bridge.placement import default_slots, place_primitive
 from ..bridge.shader_colour import Shows, reads_plainly, shows
 from ..bridge.splat_cloud import cloud_hash, cloud_of, is_cloud, notes_of, source_of
 from ..bridge.strokes import SceneStroke, path_hash, read_stroke, stroke_objects, touch_hash
-from .bake import PATCH_PIXELS, TouchedObject
+from .bake import FIRST_PIXELS, PATCH_PIXELS, TouchedObject
 from .inputs import Inputs
 from .report import Counts, Failed, Skipped
 from .seeing import SENSOR, Seeing
@@ -105,7 +105,7 @@ class Session:
         library = content_hash(LIBRARY_PATH.read_bytes())
         self.seeing = Seeing(request.encoder)
         self.field = field_for((self.seeing.measured.name, self.seeing.predicted.name))
-        made_by = f"{__version__} {PATCH_PIXELS} {SENSOR} {STORE_VERSION}"
+        made_by = f"{__version__} {PATCH_PIXELS} {FIRST_PIXELS} {SENSOR} {STORE_VERSION}"
         self._made_by = content_hash(self.field.identity, library, self.seeing.measured.content_id, made_by)
 
     @property

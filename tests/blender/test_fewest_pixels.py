@@ -195,6 +195,12 @@ def test_texels_that_cannot_be_told_get_all_pixels() -> None:
 COLOUR = ColourSources((ImageTap("image", Tap("place", "COLOR"), (1.0, 1.0)),), False, False, "image 'image'")
 
 
+def test_where_nothing_is_seen_all_pixels_look_again() -> None:
+    slot = SlotReading("Any", None, (), COLOUR)  # type: ignore[arg-type]
+    nothing, triangle = np.zeros((FIRST, FIRST), dtype=bool), np.full((FIRST, FIRST), -1, dtype=np.int32)
+    assert fewest_pixels(slot, {}, nothing, triangle, 0.02, MOST) == MOST
+
+
 @given(texel_m=st.floats(1.1e-3, 0.1), size_m=st.floats(1e-3, 0.2), faces=st.integers(1, 4000))
 def test_as_many_as_texels_and_triangles_ask_for_and_no_more(texel_m: float, size_m: float, faces: int) -> None:
     slot = SlotReading("Any", None, (), COLOUR)  # type: ignore[arg-type]  # what a colour's slot is made of is not read

@@ -1,5 +1,6 @@
 """Strokes on the virtual actuator: chosen, tested, played, looped, followed, dragged, touched live, lost and found."""
 
+import json
 import os
 import signal
 import time
@@ -206,11 +207,7 @@ def check_a_sound_output_without_its_library(stage):
     with stage.over():
         bpy.ops.hnf.preview_stop()
     stage.expect("silent", not player.is_playing)
-    bpy.context.scene.hnf.loop = True
-    with stage.over():
-        bpy.ops.hnf.preview_play()
     yield from is_held_and_goes_on(stage)
-    bpy.context.scene.hnf.loop = False
     yield from choose(stage, "virtual")
 
 
@@ -220,8 +217,12 @@ def change_the_seed():
 
 
 def is_held_and_goes_on(stage):
-    """Paused, changed while it is, let go: all at one place of the stroke. What sounds is stopped in the end."""
+    """Played over and over, paused, changed while it is, let go: all at one place of the stroke. It is stopped in the
+    end."""
     player, name = ours("preview.current").PLAYER, strokes()[0].name
+    bpy.context.scene.hnf.loop = True
+    with stage.over():
+        bpy.ops.hnf.preview_play()
     yield from stage.until("it sounds, somewhere", lambda: player.is_sounding and player.position_s > 0.1, SOON_S)
     with stage.over():
         stage.expect("held", bpy.ops.hnf.preview_pause() == {"FINISHED"})
@@ -248,6 +249,7 @@ def is_held_and_goes_on(stage):
     stage.expect("where the other was", abs(off) < 0.35, off)
     with stage.over():
         bpy.ops.hnf.preview_stop()
+    bpy.context.scene.hnf.loop = False
     stage.expect("silent", not player.is_playing and not player.is_paused)
     yield 0.3
     stage.expect("what faded out has ended", player._speakers._fading == [], player._speakers._fading)
@@ -255,12 +257,27 @@ def is_held_and_goes_on(stage):
 
 def check_speakers_pause_and_go_on(stage):
     yield from choose(stage, "")
-    bpy.context.scene.hnf.loop = True
-    with stage.over():
-        bpy.ops.hnf.preview_play()
     yield from is_held_and_goes_on(stage)
-    bpy.context.scene.hnf.loop = False
     yield from choose(stage, "virtual")
+
+
+def check_a_measured_actuator(stage):
+    """What `hnf actuators measure` would have written of one that gives 8 dB too little above 100 Hz."""
+    settings, frequency = bpy.context.scene.hnf, [20.0 * 1.1**k for k in range(42)]
+    columns = {"frequency_hz": frequency, "gain_db": [-8.0 if each > 100.0 else 0.0 for each in frequency]}
+    columns |= {"phase_rad": [0.0] * 42, "coherence": [1.0] * 42, "delay_s": 0.0}
+    profile = {"schema": 1, "name": "mine", "title": "My coil", "source": "measured", "range_hz": [40, 800]}
+    path = stage.folder / "mine.json"
+    path.write_text(json.dumps(profile | {"peak_m_s2": 40.0, "response": columns}), "utf-8")
+    settings.actuator, settings.actuator_file = "file", str(path)
+
+    def told() -> str:
+        return " ".join(ours("actuator.state").ACTUATOR.skin)
+
+    yield from stage.until("how far its bands are off is told", lambda: "without its inverse filter" in told(), SOON_S)
+    yield from stage.picture("measured", settle=0.8)
+    settings.actuator = "generic-voice-coil"
+    yield from stage.until("and not of another", lambda: "inverse filter" not in told(), SOON_S)
 
 
 def check_another_file_is_silence(stage):
