@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import build_kernel
 from relative_imports import ImportRewriteError, rewrite_file
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -36,6 +37,8 @@ SKIPPED = shutil.ignore_patterns(
     "__pycache__", "*.pyc", ".*", "*.blend1", *FROM_SOURCE, *(Path(name).name for name in LEFT_OUT)
 )
 TAGLINE_LIMIT = 64
+WITH_KERNEL = ("linux-x64", "windows-x64")
+"""On a Mac numpy does its work: it was built for one, and never run there."""
 
 
 class BuildError(Exception):
@@ -101,6 +104,16 @@ def fetch_wheels(source: dict[str, Any], target: Target) -> list[Path]:
     return wheels
 
 
+def kernel_wheels(target: Target) -> list[Path]:
+    """The compiled kernel, for platforms on which it has run (Windows: under Wine). Raises BuildError."""
+    if target.platform not in WITH_KERNEL:
+        return []
+    try:
+        return [build_kernel.build(target.platform)]
+    except build_kernel.KernelError as error:
+        raise BuildError(f"The kernel cannot be built: {error}") from error
+
+
 def download(wanted: list[str], platform_tags: list[str], python: str, folder: Path) -> None:
     """pip download of exactly the wanted wheels for another Python and platform than this one."""
     abi = "cp" + python.replace(".", "")
@@ -150,7 +163,7 @@ def stage(source: dict[str, Any], target: Target, version: str, folder: Path) ->
         except ImportRewriteError as error:
             raise BuildError(str(error)) from error
     shutil.copy2(ROOT / "LICENSE", folder / "LICENSE")
-    wheels = fetch_wheels(source, target)
+    wheels = [*fetch_wheels(source, target), *kernel_wheels(target)]
     (folder / "wheels").mkdir()
     for wheel in wheels:
         shutil.copy2(wheel, folder / "wheels" / wheel.name)

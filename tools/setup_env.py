@@ -26,6 +26,8 @@ REQUIREMENTS = ROOT / "tools" / "requirements"
 FOLDERS = {"demo": ".venv", "test": ".venv", "blender-4.5": ".venv-4.5", "blender-4.2": ".venv-4.2"}
 # An environment that already holds a larger set serves the smaller one.
 SERVED_BY = {"demo": ("demo", "test")}
+WITH_KERNEL = (".venv", ".venv-4.5")
+"""Blender 4.2's is left without, as a platform is for which none is built: its tests show that numpy does the same."""
 PIP_TIMEOUT_S = 1800
 AT_ONCE = 2
 
@@ -104,7 +106,7 @@ def ensure(name: str) -> None:
         return
     started = time.monotonic()
     print(
-        f"Setting up {folder.name} for {name} (downloads about {'2 GB' if name == 'test' else '500 MB'}) …", flush=True
+        f"Setting up {folder.name} for {name} (downloads about {'2 GB' if name == 'test' else '600 MB'}) …", flush=True
     )
     python = ensure_interpreter(folder)
     stamp_path(folder, name).unlink(missing_ok=True)
@@ -145,7 +147,23 @@ def main(names: list[str]) -> int:
         complaints = [complaint for found in pool.map(complaints_of, folders.values()) for complaint in found]
     for complaint in complaints:
         print(complaint, file=sys.stderr)
+    if not complaints:
+        install_kernel([folder for folder in folders if folder in WITH_KERNEL])
     return int(bool(complaints))
+
+
+def install_kernel(folders: list[str]) -> None:
+    """The compiled kernel, where it can be built: without it everything works, in more time."""
+    builder = ROOT / ".venv" / "bin" / "python"
+    if not folders or not builder.exists():
+        return
+    pythons = [str(ROOT / folder / "bin" / "python") for folder in folders]
+    run = subprocess.run(
+        [str(builder), "tools/build_kernel.py", "--install", *pythons], cwd=ROOT, capture_output=True, text=True,
+        timeout=PIP_TIMEOUT_S, stdin=subprocess.DEVNULL,
+    )  # fmt: skip
+    if run.returncode != 0:
+        print(f"No compiled kernel, numpy does its work: {run.stderr.strip()}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 from .. import __version__
+from ..kernel.library import why_not
 
 PACKAGES = ("numpy", "bpy")
 
@@ -24,6 +25,7 @@ def machine() -> dict[str, str]:
     for name in PACKAGES:
         if name in sys.modules:
             facts[name] = _version(name)
+    facts["kernel"] = why_not() or "compiled"
     return facts
 
 

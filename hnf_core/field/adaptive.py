@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..kernel.contact import add_rows
+from ..kernel.library import kernel
 from .carriers import MODEL_RATE_HZ
 from .field import Emission, FieldConfig
 from .rendering import render_weights
@@ -47,13 +49,27 @@ class Sampled:
 
     def reading(self, sample: Samples) -> tuple[Float, Float]:
         """alpha (n, K) of the only head and sigma_dt (n, N) at any samples (n,), held beyond the ends."""
+        row, share = self.place(sample)
+        alpha = np.zeros((len(sample), self.emission.alpha.shape[-1]))
+        self.add_alpha(row, share, np.ones(len(sample)), alpha)
+        return alpha, _between(self.emission.sigma_dt, row, share)
+
+    def place(self, sample: Samples) -> tuple[Samples, Float]:
+        """The evaluation before each sample (n,), and how far it is on the way to the next, 0 … 1."""
         row = np.clip(np.searchsorted(self.at, sample, side="right") - 1, 0, len(self.at) - 2)
-        share = np.clip((sample - self.at[row]) / (self.at[row + 1] - self.at[row]), 0.0, 1.0)[:, None]
-        alpha, sigma = self.emission.alpha[:, 0], self.emission.sigma_dt
-        return (
-            alpha[row] + share * (alpha[row + 1] - alpha[row]),
-            sigma[row] + share * (sigma[row + 1] - sigma[row]),
-        )
+        return row, np.clip((sample - self.at[row]) / (self.at[row + 1] - self.at[row]), 0.0, 1.0)
+
+    def add_alpha(self, row: Samples, share: Float, factor: Float, out: Float) -> None:
+        """out (n, K) += factor (n,) times alpha between the evaluations row (n,) and the next."""
+        alpha, compiled = self.emission.alpha[:, 0], kernel()
+        if compiled is not None:
+            add_rows(compiled, alpha, row, share, factor, out)
+        else:
+            out += factor[:, None] * _between(alpha, row, share)
+
+
+def _between(values: Float, row: Samples, share: Float) -> Float:
+    return np.asarray(values[row] + share[:, None] * (values[row + 1] - values[row]))
 
 
 def sample_emission(evaluate: Evaluate, count: int, tolerance: float, turns: Samples | None = None) -> Sampled:
@@ -133,13 +149,10 @@ def accumulated(config: FieldConfig, sampled: Sampled, count: int) -> tuple[Samp
     lag = round(config.spacing_s * MODEL_RATE_HZ)
     # What bends now bends again in the nearest memory; of what lies further back a hundredth is left.
     at = np.unique(np.concatenate([sampled.at, np.minimum(sampled.at + lag, count)]))
-    alphas, densities = [], []
-    for state in range(config.states):
-        alpha, sigma = sampled.reading(at - state * lag)
-        alphas.append(np.where((at < state * lag)[:, None], 0.0, alpha))
-        densities.append(sigma[:, state])
+    placed = [sampled.place(at - state * lag) for state in range(config.states)]
+    densities = [_between(sampled.emission.sigma_dt[:, [n]], *place)[:, 0] for n, place in enumerate(placed)]
     weights = render_weights(np.stack(densities, axis=1))
-    total = np.zeros_like(alphas[0])
-    for state, alpha in enumerate(alphas):
-        total += weights[:, state, None] * alpha
+    total = np.zeros((len(at), sampled.emission.alpha.shape[-1]))
+    for state, place in enumerate(placed):
+        sampled.add_alpha(*place, weights[:, state] * (at >= state * lag), total)
     return at, total

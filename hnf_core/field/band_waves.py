@@ -12,6 +12,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ..kernel import noise as kernel_noise
+from ..kernel.library import kernel
+from ..kernel.noise import TILE
+
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Complex = NDArray[np.complex128]
@@ -29,7 +33,12 @@ def real_waves(bins: Complex, starts: Starts, size: int, window: Float) -> Float
     """
     out = np.empty((len(starts) - 1, size), dtype=np.float32)
     narrow = np.diff(starts) <= WIDEST
-    if narrow.any():
+    compiled = kernel()
+    if narrow.any() and compiled is not None and size % TILE == 0:
+        which = np.flatnonzero(narrow)
+        slow = _slow_turns(int(np.diff(starts)[which].max()), window.tobytes(), size)
+        kernel_noise.real_waves(compiled, bins, starts, which, slow, _turns(tuple(starts[which].tolist()), size), out)
+    elif narrow.any():
         first = starts[:-1][narrow]
         real, imaginary = _envelopes(2.0 * _padded(bins, starts, narrow), window.tobytes(), size)
         cosine, sine = _turns(tuple(first.tolist()), size)
@@ -45,6 +54,11 @@ def real_waves(bins: Complex, starts: Starts, size: int, window: Float) -> Float
 
 def complex_waves(bins: Complex, starts: Starts, middle: int, size: int, window: Float) -> NDArray[np.complex64]:
     """Σ_k X_k e^{2πi(k − middle)n/size} of each of B bands of at most WIDEST bins, times window (size,); (B, size)."""
+    compiled = kernel()
+    if compiled is not None and size % TILE == 0:
+        slow = _slow_turns(int(np.diff(starts).max()), window.tobytes(), size)
+        turns = _turns(tuple((starts[:-1] - middle).tolist()), size)
+        return kernel_noise.complex_waves(compiled, bins, starts, slow, turns)
     every = np.ones(len(starts) - 1, dtype=np.bool_)
     real, imaginary = _envelopes(_padded(bins, starts, every), window.tobytes(), size)
     cosine, sine = _turns(tuple((starts[:-1] - middle).tolist()), size)

@@ -36,9 +36,12 @@ class Knots:
         span = self.at[row + 1] - self.at[row]
         return row, np.clip((sample - self.at[row]) / span, 0.0, 1.0).astype(np.float32)
 
-    def loud(self, first: int, last: int) -> list[tuple[int, int]]:
-        """Ranges of samples within first … last − 1 in which an amplitude is not zero."""
-        loud = np.any(self.amplitude != 0.0, axis=1)
+    def loud_each(self, carriers: int) -> NDArray[np.bool_]:
+        """(K / carriers, m) whether any of so many neighbouring amplitudes is not zero."""
+        return np.asarray(self.amplitude.reshape(len(self.at), -1, carriers).any(axis=2).T)
+
+    def ranges(self, loud: NDArray[np.bool_], first: int, last: int) -> list[tuple[int, int]]:
+        """Ranges of samples within first … last − 1 beside a knot that is loud (m,)."""
         if loud.all():
             return [(first, last)]
         active = np.concatenate([[False], loud[:-1] | loud[1:], [False]])

@@ -13,11 +13,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..material.contact import contact_radius, height_power, resonance_hz, tip_response, with_defaults
+from ..kernel.contact import TOUCH, Noise, contact_noise
+from ..kernel.library import kernel
+from ..material.contact import (
+    contact_radius,
+    contact_stiffness,
+    height_power,
+    power_gain,
+    resonance_hz,
+    tip_gain,
+    tip_response,
+    with_defaults,
+)
 from ..material.mechanics import Mechanics
 from ..material.probe import PROBES
 from .carriers import ARC_PER_OCTAVE, Carriers
-from .linear_texture import add_at, cut_lines, cut_noise, texture_of
+from .linear_texture import Texture, add_at, cut_lines, cut_noise, folded_density, shifts, texture_of
 from .lines import Lines
 
 Float = NDArray[np.float64]
@@ -83,47 +94,79 @@ def upper_fade(frequency: Float) -> Float:
 
 def linear_contact(condition: Condition, carriers: Carriers) -> LinearContact:
     """Expected power of each state, as if it lasted; out of contact as at the force floor."""
-    kappa, probe = carriers.arc_centres(), PROBES[condition.probe]
-    speed = np.maximum(condition.speed, SPEED_FLOOR_M_S)
-    force = np.maximum(condition.force, FORCE_FLOOR_N)
+    kappa = carriers.arc_centres()
     texture = texture_of(condition.tokens, condition.direction, carriers)
-    # One row per distinct load of a material would do; rows are few, so each is computed.
-    passed, leaned, response = (np.zeros((len(speed), len(kappa))) for _ in range(3))
-    friction, resonance, flank = (np.zeros(len(speed)) for _ in range(3))
-    omega = 2.0 * np.pi * kappa * speed[:, None]
-    for index, mechanics in enumerate(condition.mechanics):
-        rows = np.flatnonzero(condition.material == index)
-        load = force[rows, None]
-        passed[rows] = np.square(tip_response(kappa, mechanics, probe, load))
-        leaned[rows] = np.square(tip_response(ASPERITY_SHARE * kappa, mechanics, probe, load))
-        response[rows] = height_power(kappa * speed[rows, None], mechanics, probe, load)
-        friction[rows] = with_defaults(mechanics).friction
-        resonance[rows] = resonance_hz(mechanics, probe, force[rows])
-        share = contact_radius(mechanics, probe, force[rows]) / probe.tip_radius_m
-        flank[rows] = np.square(1.0 + FLANK_FRICTION * np.square(1.0 - share)) - 1.0
-    hand = HAND_STIFFNESS_N_M / probe.mass_kg
-    square = np.square(omega)
-    lateral = np.square(square) / (np.square(hand - square) + 4.0 * HAND_DAMPING_RATIO**2 * hand * square)
-    fade = np.square(arc_gain(kappa, speed))
-    wave = np.square(2.0 * np.pi * kappa)
-    up, aside = response * fade, lateral * np.square(force / probe.mass_kg)[:, None] * fade
-    rubbed = 1.0 + np.square(friction)[:, None]
-    height, slope, leaning = cut_noise(texture, np.stack([passed, leaned * wave, leaned]), carriers)
-    normal = height * up
-    noise = normal * rubbed + (slope + flank[:, None] * wave * leaning) * aside
+    touch, resonance = _touch(condition)
+    compiled = kernel()
+    if compiled is None:
+        found = _noise(texture, touch, carriers, condition.probe)
+    else:
+        found = contact_noise(
+            compiled, np.stack([touch[name] for name in TOUCH], axis=1), kappa, texture.noise, folded_density(texture),
+            texture.band.astype(np.int64, copy=False), np.array(shifts()), _hand(condition.probe),
+        )  # fmt: skip
     # The same for the tones, each where it sounds.
-    met, low = cut_lines(texture, passed, carriers)
-    leant = cut_lines(texture, leaned * wave, carriers)[0]
-    climbed = flank[:, None] * cut_lines(texture, leaned, carriers)[0]
+    wave = np.square(2.0 * np.pi * kappa)
+    power, low = cut_lines(texture, np.stack([found.passed, found.leaned * wave, found.leaned]), carriers)
+    met, leant, climbed = np.moveaxis(power, 1, 0)
     at = np.clip(low + np.arange(2)[:, None, None], 0, len(kappa) - 1)
-    rows = np.arange(len(speed))[:, None]
-    tone = met * up[rows, at]
-    lines = Lines(tone * rubbed + (leant + climbed * wave[at]) * aside[rows, at], low)
-    power = noise.copy()
+    rows = np.arange(len(at[0]))[:, None]
+    tone, rubbed = met * found.up[rows, at], touch["rubbed"][:, None]
+    leaning = leant + touch["flank"][:, None] * climbed * wave[at]
+    lines = Lines(tone * rubbed + leaning * found.aside[rows, at], low)
+    power, normal = found.power.copy(), found.normal.copy()
     for tap in range(2):
         add_at(power, low + tap, lines.power[tap])
         add_at(normal, low + tap, tone[tap])
-    return LinearContact(power, normal.sum(axis=1), resonance, noise, lines)
+    return LinearContact(power, normal.sum(axis=1), resonance, found.power, lines)
+
+
+def _touch(condition: Condition) -> tuple[dict[str, Float], Float]:
+    """What each state (n,) says of the contact, by the names in TOUCH, and its resonance [Hz]."""
+    probe, force = PROBES[condition.probe], np.maximum(condition.force, FORCE_FLOOR_N)
+    radius, stiffness, damping, friction, resonance = np.zeros((5, len(force)))
+    for index, mechanics in enumerate(condition.mechanics):
+        # One row per distinct load of a material would do; rows are few, so each is computed.
+        rows, known = np.flatnonzero(condition.material == index), with_defaults(mechanics)
+        radius[rows] = contact_radius(mechanics, probe, force[rows])
+        stiffness[rows] = contact_stiffness(mechanics, probe, force[rows])
+        damping[rows] = 4.0 * known.damping_ratio**2 * stiffness[rows] * probe.mass_kg
+        friction[rows] = known.friction
+        resonance[rows] = resonance_hz(mechanics, probe, force[rows])
+    sharp = np.square(1.0 - radius / probe.tip_radius_m)
+    return {
+        "speed": np.maximum(condition.speed, SPEED_FLOOR_M_S),
+        "radius": radius,
+        "stiffness": stiffness,
+        "damping": damping,
+        "mass": np.full(len(force), probe.mass_kg),
+        "load_square": np.square(force / probe.mass_kg),
+        "rubbed": 1.0 + np.square(friction),
+        "flank": np.square(1.0 + FLANK_FRICTION * sharp) - 1.0,
+    }, resonance
+
+
+def _hand(probe: str) -> tuple[float, float]:
+    """Stiffness over mass of the hand that holds the probe sideways, and 4 ζ² times it."""
+    hand = HAND_STIFFNESS_N_M / PROBES[probe].mass_kg
+    return hand, 4.0 * HAND_DAMPING_RATIO**2 * hand
+
+
+def _noise(texture: Texture, touch: dict[str, Float], carriers: Carriers, probe: str) -> Noise:
+    """Without the lattice's tones."""
+    kappa = carriers.arc_centres()
+    speed, radius, stiffness, damping, mass, load_square, rubbed, flank = (touch[name][:, None] for name in TOUCH)
+    passed = np.square(tip_gain(kappa, radius))
+    leaned = np.square(tip_gain(ASPERITY_SHARE * kappa, radius))
+    square = np.square(2.0 * np.pi * kappa * speed)
+    hand, hand_damping = _hand(probe)
+    lateral = np.square(square) / (np.square(hand - square) + hand_damping * square)
+    fade = np.square(arc_gain(kappa, touch["speed"]))
+    wave = np.square(2.0 * np.pi * kappa)
+    up, aside = power_gain(square, stiffness, damping, mass) * fade, lateral * load_square * fade
+    height, slope, leaning = cut_noise(texture, np.stack([passed, leaned * wave, leaned]), carriers)
+    normal = height * up
+    return Noise(normal * rubbed + (slope + flank * wave * leaning) * aside, normal, passed, leaned, up, aside)
 
 
 def profile_band_power(height_spectrum: Float, condition: Condition, carriers: Carriers) -> Float:

@@ -8,6 +8,7 @@ wave itself, at κ: hence the cut takes a weight per κ.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,24 +84,34 @@ def cut_noise(texture: Texture, weight: Float, carriers: Carriers) -> Float:
     # Wavenumbers first, so that those beyond a shift are one piece of memory.
     weighted = np.ascontiguousarray(np.moveaxis(texture.noise * weight, -1, -2))
     out, part, count = np.zeros_like(weighted), np.empty_like(weighted), weighted.shape[-2]
-    # δ and 180° − δ move a wave alike, so their densities are one.
-    density = (texture.density[: ANGLES // 2] + texture.density[: ANGLES // 2 - 1 : -1]) / ANGLES
-    moved = np.take(np.swapaxes(density, 1, 2), texture.band, axis=1)
-    for angle, share in zip(_GRID_ANGLES[: ANGLES // 2], moved, strict=True):
-        shift = int(np.rint(-ARC_PER_OCTAVE * np.log2(np.abs(np.cos(angle)))))
+    moved = np.take(np.swapaxes(folded_density(texture), 1, 2), texture.band, axis=1)
+    for shift, share in zip(shifts(), moved, strict=True):
         if shift < count:
             np.multiply(weighted[..., shift:, :], share[shift:], out=part[..., shift:, :])
             out[..., : count - shift, :] += part[..., shift:, :]
     return np.moveaxis(out, -1, -2)
 
 
+def folded_density(texture: Texture) -> Float:
+    """(ANGLES / 2, n, bands) share of the waves that stand at each angle to the stroke: δ and 180° − δ move a wave
+    alike, so their densities are one."""
+    return np.asarray((texture.density[: ANGLES // 2] + texture.density[: ANGLES // 2 - 1 : -1]) / ANGLES)
+
+
+@lru_cache(maxsize=1)
+def shifts() -> tuple[int, ...]:
+    """Bands by which a cut moves the waves at each of those angles downward."""
+    return tuple(round(-ARC_PER_OCTAVE * np.log2(np.cos(angle))) for angle in _GRID_ANGLES[: ANGLES // 2])
+
+
 def cut_lines(texture: Texture, weight: Float, carriers: Carriers) -> tuple[Float, NDArray[np.intp]]:
-    """The tones of cut(): power (2, n, 2 · bands) in the two arc bands about each, so that their centroid is exact, and
-    the index (n, 2 · bands) of the lower band, which may lie outside. First the tones along the lattice's axis."""
+    """The tones of cut(), for weight (..., n, Ka): power (2, ..., n, 2 · bands) in the two arc bands about each, so
+    that their centroid is exact, and the index (n, 2 · bands) of the lower band, which may lie outside. First the tones
+    along the lattice's axis."""
     start, count = carriers.arc_centres()[0], carriers.arc_count
     place = np.clip(np.rint(ARC_PER_OCTAVE * np.log2(texture.line_wavenumber / start)).astype(int), 0, count - 1)
-    line_weight = np.take_along_axis(weight, place, axis=1)
-    power = np.concatenate(list(texture.line_power * line_weight), axis=1)
+    line_weight = weight[..., np.arange(len(place))[:, None], place]
+    power = np.concatenate([along * line_weight for along in texture.line_power], axis=-1)
     wavenumber = np.concatenate(list(texture.line_wavenumber * texture.line_cosine), axis=1)
     position = ARC_PER_OCTAVE * np.log2(np.maximum(wavenumber, 1e-9) / start)
     low = np.floor(position).astype(np.intp)

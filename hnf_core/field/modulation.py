@@ -14,14 +14,18 @@ Float = NDArray[np.float64]
 ArcSource = Callable[[int, int, int], Float]
 """(octave, start, count) → (24, count): band signals of an octave on its spatial grid."""
 
+_SHARES = np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE
 _TAPS = 4
 """Of the cubic interpolation between spatial samples."""
 
 
 def interpolate(amplitude: Float, start: int, count: int) -> Float:
-    """Linear interpolation of (n, K) state amplitudes at samples start … of the model rate; (count, K)."""
-    state, share = _place(len(amplitude), start, count)
-    return np.asarray(amplitude[state] * (1.0 - share)[:, None] + amplitude[state + 1] * share[:, None])
+    """Linear interpolation of (n, K) state amplitudes at samples start … of the model rate, (count, K); held beyond."""
+    first, states = start // SAMPLES_PER_STATE, len(amplitude)
+    after = (start + max(count, 1) - 1) // SAMPLES_PER_STATE + 1
+    near = amplitude[np.clip(np.arange(first, after + 1), 0, states - 1)].T[:, :, None]
+    between = (near[:, :-1] * (1.0 - _SHARES) + near[:, 1:] * _SHARES).reshape(amplitude.shape[1], -1)
+    return np.asarray(between[:, start - first * SAMPLES_PER_STATE :][:, :count].T)
 
 
 def time_term(

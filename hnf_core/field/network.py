@@ -1,7 +1,7 @@
 """The layers and heads of F_Θ on many states: bytes that do not depend on how many cores a machine has to spare.
 
-OpenBLAS adds in another order on another number of threads. So states go through in portions of one size, each on one
-thread of BLAS, and as many of them at once as there are cores where that is worth the trouble.
+OpenBLAS adds in another order on another number of threads. So states go through in portions that follow from their
+number alone, each on one thread of BLAS, as many at once as there are cores where that is worth the trouble.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,22 +18,26 @@ from ..blas import one_blas_thread
 
 Float32 = NDArray[np.float32]
 
-PORTION = 64
+PORTION = 96
+"""States at most; an even number of portions of one size, so that two cores end together."""
 WORTH_THREADS = 1 << 26
 """Multiplications: about a millisecond of one core."""
 
 
 def heads(parameters: Mapping[str, Float32], layers: int, x: Float32) -> tuple[Float32, Float32]:
     """Outputs of the α head and of the σ head, (n, …) each, for inputs x (n, D)."""
-    portions = [x[low : low + PORTION] for low in range(0, len(x), PORTION)] or [x]
+    portions = np.array_split(x, 2 * -(-len(x) // (2 * PORTION))) if len(x) > PORTION else [x]
     multiplications = len(x) * sum(value.size for value in parameters.values() if value.ndim == 2)
     with one_blas_thread():
-        if len(portions) > 1 and multiplications > WORTH_THREADS:
-            with ThreadPoolExecutor(min(len(portions), os.cpu_count() or 1)) as pool:
-                found = list(pool.map(lambda portion: _through(parameters, layers, portion), portions))
-        else:
-            found = [_through(parameters, layers, portion) for portion in portions]
+        at_once = _threads().map if len(portions) > 1 and multiplications > WORTH_THREADS else map
+        found = list(at_once(lambda portion: _through(parameters, layers, portion), portions))
     return np.concatenate([alpha for alpha, _ in found]), np.concatenate([sigma for _, sigma in found])
+
+
+@lru_cache(maxsize=1)
+def _threads() -> ThreadPoolExecutor:
+    """Kept: to start threads takes as long as the products of a hundred states."""
+    return ThreadPoolExecutor(os.cpu_count() or 1, "hnf-products")
 
 
 def _through(parameters: Mapping[str, Float32], layers: int, hidden: Float32) -> tuple[Float32, Float32]:

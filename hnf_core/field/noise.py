@@ -7,6 +7,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from ..kernel import noise as kernel_noise
+from ..kernel.library import kernel
+
 WORD = 0xFFFF_FFFF_FFFF_FFFF
 _WORDS_A_COUNT = 4
 
@@ -23,11 +26,15 @@ def normal_block(seed: int, stream: int, block: int, count: int) -> NDArray[np.f
     return np.asarray(np.concatenate([radius * np.cos(angle), radius * np.sin(angle)])[:count])
 
 
-def _uniform(seed: int, stream: int, block: int, first: int, last: int) -> NDArray[np.float64]:
-    """Numbers first … last − 1 of a block, in 0 … 1; what lies before them is not drawn."""
+def _words(seed: int, stream: int, block: int, first: int, last: int) -> NDArray[np.uint64]:
+    """Words first … last − 1 of a block; what lies before them is not drawn."""
     skipped = first // _WORDS_A_COUNT
     bits = np.random.Philox(key=(seed & WORD) | ((stream & WORD) << 64), counter=((block & WORD) << 64) + skipped)
-    words = bits.random_raw(last - _WORDS_A_COUNT * skipped)[first - _WORDS_A_COUNT * skipped :]
+    return np.asarray(bits.random_raw(last - _WORDS_A_COUNT * skipped)[first - _WORDS_A_COUNT * skipped :])
+
+
+def _uniform(words: NDArray[np.uint64]) -> NDArray[np.float64]:
+    """In 0 … 1, both ends left out."""
     return np.asarray(((words >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53)
 
 
@@ -36,8 +43,8 @@ def _polar(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Radius and angle of those in rows of a block's pairs: their cosine and sine parts are normal (Box & Muller
     1958)."""
-    radius = _uniform(seed, stream, block, rows.start, rows.stop)
-    angle = _uniform(seed, stream, block, pairs + rows.start, pairs + rows.stop)
+    radius = _uniform(_words(seed, stream, block, rows.start, rows.stop))
+    angle = _uniform(_words(seed, stream, block, pairs + rows.start, pairs + rows.stop))
     return np.sqrt(-2.0 * np.log(radius)), 2.0 * np.pi * angle
 
 
@@ -62,9 +69,14 @@ def band_bins(
     follows the last, (B + 1,). Numbers that no band holds are not drawn."""
     starts = first_bins(edges, size)
     widths, count = np.diff(starts), size // 2 + 1
-    radius, angle = _polar(seed, stream, block, count, slice(int(starts[0]), int(starts[-1])))
     # Each of n bins is complex normal of variance 2, mirrored: the period's mean power is 4 n / size².
-    level = np.repeat(size / np.sqrt(4.0 * widths), widths)
+    level, drawn = np.repeat(size / np.sqrt(4.0 * widths), widths), slice(int(starts[0]), int(starts[-1]))
+    compiled = kernel()
+    if compiled is not None:
+        near = _words(seed, stream, block, drawn.start, drawn.stop)
+        far = _words(seed, stream, block, count + drawn.start, count + drawn.stop)
+        return kernel_noise.bins(compiled, near, far, level), starts
+    radius, angle = _polar(seed, stream, block, count, drawn)
     bins = np.empty(len(radius), dtype=np.complex128)
     bins.real, bins.imag = radius * level * np.cos(angle), radius * level * np.sin(angle)
     return bins, starts

@@ -368,16 +368,19 @@ def _tip(condition: Condition, carriers: Carriers) -> Float:
 
 def _audible(contact: NDArray[np.bool_], count: int) -> Float:
     """1 in contact, fading to exactly 0 at BEFORE_CONTACT_S ahead of it and AFTER_CONTACT_S behind it."""
-    touched = contact.astype(bool)
-    sample = np.arange(count)
-    state = sample / SAMPLES_PER_STATE
-    indices = np.flatnonzero(touched)
+    indices = np.flatnonzero(contact)
     if len(indices) == 0:
         return np.zeros(count)
+    touched = contact.astype(bool)
+    # 1 throughout between two states of which one touches; the rest is far from most of a stroke.
+    out = np.repeat((touched[:-1] | touched[1:]).astype(np.float64), SAMPLES_PER_STATE)[:count]
+    sample = np.flatnonzero(out == 0.0)
+    state = sample / SAMPLES_PER_STATE
     following = np.searchsorted(indices, state)
     ahead = np.where(following < len(indices), indices[np.minimum(following, len(indices) - 1)] - state, np.inf)
     behind = np.where(following > 0, state - indices[np.maximum(following - 1, 0)], np.inf)
     per_state = SAMPLES_PER_STATE / MODEL_RATE_HZ
     ahead, behind = np.maximum(ahead - 1.0, 0.0) * per_state, np.maximum(behind - 1.0, 0.0) * per_state
     fade = np.maximum(1.0 - ahead / BEFORE_CONTACT_S, 1.0 - behind / AFTER_CONTACT_S)
-    return np.asarray(np.sin(0.5 * np.pi * np.clip(fade, 0.0, 1.0)) ** 2)
+    out[sample] = np.sin(0.5 * np.pi * np.clip(fade, 0.0, 1.0)) ** 2
+    return out

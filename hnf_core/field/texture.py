@@ -7,14 +7,19 @@ up at the end, octaves and low bands together. A hop is a function of the knots 
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Iterator
+from ctypes import CDLL
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..kernel import texture as kernel_texture
+from ..kernel.library import kernel
+from ..kernel.texture import Between, Octave
 from .carriers import ARC_PER_OCTAVE, MODEL_RATE_HZ, Carriers
 from .hops import (
     ARC_CELLS,
@@ -69,11 +74,13 @@ def texture_hop(knots: Knots, carriers: Carriers, seed: int, place: Float, hop: 
 def _readings(near: Knots, carriers: Carriers, place: Float, rates: _Rates) -> dict[tuple[int, int, int], list[int]]:
     """Octaves that are read at the same samples: (level, first sample, how many) → octaves."""
     begin, found = rates.first - REACH, defaultdict[tuple[int, int, int], list[int]](list)
-    for octave in range(carriers.arc_octaves):
+    speed = np.abs(np.diff(place)) * MODEL_RATE_HZ
+    for octave, loud in enumerate(near.of(carriers.arc_slice).loud_each(ARC_PER_OCTAVE)):
         lowest = carriers.arc_start_per_m * 2.0**octave
-        for stretch in near.of(_bands(carriers, octave)).loud(begin, begin + len(place)):
-            for low, high in _audible(place, begin, stretch, lowest):
-                level = level_of(2.0 * lowest * _speed(place[low - begin : high - begin]))
+        for stretch in near.ranges(loud, begin, begin + len(place)):
+            for low, high in _audible(speed, begin, stretch, lowest):
+                fastest = float(speed[low - begin : high - begin - 1].max(initial=0.0))
+                level = level_of(2.0 * lowest * fastest)
                 start, count = rates.kept(level, low, high)
                 if count:
                     found[level, start, count].append(octave)
@@ -145,6 +152,9 @@ def _twice(values: Float32, level: int) -> Float32:
 
 def _faded(amplitude: Float32, waves: Float32, when: _When) -> Float32:
     """Σ_k A_k c_k of waves (K, n); (n,)."""
+    compiled = kernel()
+    if compiled is not None:
+        return kernel_texture.faded(compiled, amplitude, waves, Between.of(when.row, when.share))
     out = np.empty(waves.shape[1], dtype=np.float32)
     for rows, part in _parts(when.row):
         sums = amplitude[rows] @ waves[:, part]
@@ -156,6 +166,9 @@ def _faded(amplitude: Float32, waves: Float32, when: _When) -> Float32:
 
 def _in_arc(near: Knots, carriers: Carriers, seed: int, octaves: list[int], place: Float, when: _When) -> Float32:
     """Σ_k A_k c_k of the octaves at samples at place (n,) [m]; (n,)."""
+    compiled = kernel()
+    if compiled is not None:
+        return _in_arc_compiled(compiled, near, carriers, seed, octaves, place, when)
     at = place / (CELL * np.array([[carriers.arc_step_m(octave)] for octave in octaves]))
     cell = np.floor(at).astype(np.int64)
     weights = [weight.astype(np.complex64) for weight in _reading((at - cell).astype(np.float32))]
@@ -182,6 +195,28 @@ def _in_arc(near: Knots, carriers: Carriers, seed: int, octaves: list[int], plac
     return np.asarray((out.real * np.cos(angle) - out.imag * np.sin(angle)).sum(axis=0))
 
 
+def _in_arc_compiled(
+    compiled: CDLL, near: Knots, carriers: Carriers, seed: int, octaves: list[int], place: Float, when: _When
+) -> Float32:
+    least, most = float(place.min()), float(place.max())
+
+    def octave_of(octave: int) -> Octave:
+        per_m = 1.0 / (CELL * carriers.arc_step_m(octave))
+        hops = range((math.floor(least * per_m) - 1) // ARC_HOP, (math.floor(most * per_m) + 2) // ARC_HOP + 1)
+        kept = [arc_hop(carriers, seed, octave, hop) for hop in hops]
+        return Octave(near.amplitude[:, _bands(carriers, octave)], kept, hops.start * ARC_HOP, per_m)
+
+    return kernel_texture.in_arc(
+        compiled, map(octave_of, octaves), MIDDLE / ARC_CELLS, np.ascontiguousarray(place), _powers(),
+        Between.of(when.row, when.share),
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=1)
+def _powers() -> Float32:
+    return np.array(_cubic(), dtype=np.float32)
+
+
 def _cells(carriers: Carriers, seed: int, octave: int, first: int, last: int) -> NDArray[np.complex64]:
     """(24, last − first) contiguous."""
     hops = range(first // ARC_HOP, (last - 1) // ARC_HOP + 1)
@@ -202,18 +237,14 @@ def _parts(row: NDArray[np.intp]) -> Iterator[tuple[slice, slice]]:
         low = high
 
 
-def _speed(place: Float) -> float:
-    return float(np.abs(np.diff(place)).max(initial=0.0)) * MODEL_RATE_HZ
-
-
-def _audible(place: Float, begin: int, stretch: tuple[int, int], lowest: float) -> list[tuple[int, int]]:
+def _audible(speed: Float, begin: int, stretch: tuple[int, int], lowest: float) -> list[tuple[int, int]]:
     """What of a stretch is not faster than an octave from wavenumber `lowest` on can sound: a jump of the hand, whose
-    amplitudes are zero, would ask for metres of cells."""
+    amplitudes are zero, would ask for metres of cells. speed: m/s from each sample after begin to the next."""
     low, high = stretch
-    travel = np.abs(np.diff(place[low - begin : high - begin])) * (MODEL_RATE_HZ * lowest)
-    if not np.any(travel >= BAND_END_HZ):
+    too_fast = speed[low - begin : high - begin - 1] * lowest >= BAND_END_HZ
+    if not too_fast.any():
         return [stretch]
-    slow = np.concatenate([[False], travel < BAND_END_HZ, [False]])
+    slow = np.concatenate([[False], ~too_fast, [False]])
     edges = np.flatnonzero(np.diff(slow.astype(np.int8)))
     return [(low + int(a), low + int(b) + 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 

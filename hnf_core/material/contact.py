@@ -88,8 +88,12 @@ def tip_response(wavenumber_cycles_m: ArrayLike, mechanics: Mechanics, probe: Pr
     The Hertzian pressure sqrt(1 − r²/a²) averages the profile; its transform 3 (sin q − q cos q) / q³, q = 2πκa, is
     replaced by the Gaussian of the same curvature exp(−q²/10), which has no negative lobes. Arguments broadcast.
     """
-    q = 2.0 * np.pi * np.asarray(wavenumber_cycles_m, dtype=np.float64) * contact_radius(mechanics, probe, force_n)
-    return np.asarray(np.exp(-np.square(q) / 10.0))
+    return tip_gain(np.asarray(wavenumber_cycles_m, dtype=np.float64), contact_radius(mechanics, probe, force_n))
+
+
+def tip_gain(wavenumber_cycles_m: Float, radius_m: Float) -> Float:
+    """tip_response() of a contact of radius a [m]; arguments broadcast."""
+    return np.asarray(np.exp(-np.square(2.0 * np.pi * wavenumber_cycles_m * radius_m) / 10.0))
 
 
 def height_response(frequency_hz: ArrayLike, mechanics: Mechanics, probe: Probe, force_n: ArrayLike) -> Complex:
@@ -106,12 +110,17 @@ def height_response(frequency_hz: ArrayLike, mechanics: Mechanics, probe: Probe,
 
 def height_power(frequency_hz: ArrayLike, mechanics: Mechanics, probe: Probe, force_n: ArrayLike) -> Float:
     """|height_response|² [(m/s² per m)²], at a fifth of its cost; arguments broadcast."""
-    omega = 2.0 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
-    square = np.square(omega)
+    square = np.square(2.0 * np.pi * np.asarray(frequency_hz, dtype=np.float64))
     stiffness = contact_stiffness(mechanics, probe, force_n)
-    damped = 4.0 * with_defaults(mechanics).damping_ratio ** 2 * stiffness * probe.mass_kg * square
+    damping = 4.0 * with_defaults(mechanics).damping_ratio ** 2 * stiffness * probe.mass_kg
+    return power_gain(square, stiffness, damping, np.asarray(probe.mass_kg))
+
+
+def power_gain(square: Float, stiffness: Float, damping: Float, mass_kg: Float) -> Float:
+    """height_power() at ω² of a contact of stiffness k and damping c² = 4 ζ² k m; arguments broadcast."""
+    damped = damping * square
     above = np.square(square) * (np.square(stiffness) + damped)
-    below = np.square(stiffness - probe.mass_kg * square) + damped
+    below = np.square(stiffness - mass_kg * square) + damped
     return np.divide(above, below, out=np.zeros(np.broadcast_shapes(above.shape, below.shape)), where=below != 0.0)
 
 

@@ -211,6 +211,20 @@ def test_its_wheels_are_unpacked_into_the_profile_and_work(profile: Profile) -> 
     assert [name for name in files if not name.startswith(str(profile.folder / "extensions" / ".local"))] == []
 
 
+def test_the_compiled_kernel_is_found_in_the_profile(profile: Profile) -> None:
+    code = f"""
+        import importlib, json
+        library = importlib.import_module('{PACKAGE}.hnf_core.kernel.library')
+        library.kernel()
+        print('RESULT', json.dumps([library.why_not(), sys.modules['hnf_kernel'].__file__]))
+    """
+    run = profile.run(code)
+    assert run.returncode == 0, run.stdout + run.stderr
+    missing, file = result_of(run)
+    assert missing == ""
+    assert str(file).startswith(str(profile.folder / "extensions" / ".local"))
+
+
 def test_an_actuator_is_driven_from_the_installed_extension(profile: Profile) -> None:
     """Its process finds the inside of the zip, where hnf_core is no package of its own."""
     code = f"""

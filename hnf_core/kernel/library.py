@@ -1,0 +1,115 @@
+"""Finds and loads the compiled kernel (package hnf_kernel, which tools/build_kernel.py makes from source/).
+
+Everything it does has a twin in numpy that takes over where there is no kernel, or where HNF_KERNEL=off asks for it.
+`hnf doctor` and `hnf bench` say which of the two is at work.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+ABI = 1
+"""hnf_kernel.h's HNF_ABI: another one has other functions."""
+SWITCH = "HNF_KERNEL"
+SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+
+_Integer, _Number, _Pointer = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
+_SIGNATURES = {
+    "hnf_faded": (_Pointer, _Integer, _Integer, _Pointer, _Integer, _Pointer, _Pointer, _Pointer),
+    "hnf_read_arc": (
+        _Pointer, _Integer, _Integer, _Pointer, _Integer, _Integer, _Number, _Number, _Pointer, _Pointer, _Pointer,
+        _Pointer, _Integer, _Pointer, _Pointer,
+    ),
+    "hnf_linear_contact": (
+        _Pointer, _Integer, _Pointer, _Integer, _Pointer, _Pointer, _Integer, _Pointer, _Pointer, _Integer, _Number,
+        _Number, _Pointer, _Pointer,
+    ),
+    "hnf_add_rows": (_Pointer, _Integer, _Pointer, _Pointer, _Pointer, _Integer, _Pointer),
+    "hnf_bins": (_Pointer, _Pointer, _Pointer, _Integer, _Pointer),
+    "hnf_real_waves": (
+        _Pointer, _Pointer, _Pointer, _Integer, _Integer, _Integer, _Pointer, _Pointer, _Pointer, _Pointer,
+    ),
+    "hnf_complex_waves": (
+        _Pointer, _Pointer, _Integer, _Integer, _Integer, _Pointer, _Pointer, _Pointer, _Pointer,
+    ),
+}  # fmt: skip
+_plain = threading.local()
+
+
+def kernel() -> ctypes.CDLL | None:
+    """The compiled functions, or None where numpy does their work."""
+    return None if getattr(_plain, "asked", False) else _found()[0]
+
+
+def why_not() -> str:
+    """Why there is no kernel; empty where there is one."""
+    return _found()[1]
+
+
+@contextmanager
+def plainly() -> Iterator[None]:
+    """Numpy alone, in this thread: what the kernel is measured and tested against."""
+    before, _plain.asked = getattr(_plain, "asked", False), True
+    try:
+        yield
+    finally:
+        _plain.asked = before
+
+
+def address(array: NDArray[Any], dtype: Any) -> int:
+    """Where an array's numbers begin. Raises TypeError where they are of another type or not one piece of memory: C
+    would read something else."""
+    if array.dtype != dtype or not array.flags.c_contiguous:
+        raise TypeError(f"the kernel takes contiguous {np.dtype(dtype)}, not {array.dtype} of strides {array.strides}")
+    return int(array.__array_interface__["data"][0])
+
+
+def rows(array: NDArray[np.float32]) -> tuple[int, int]:
+    """Where a table (m, K) of float32 begins, and the numbers between its rows; each row is one piece."""
+    if array.dtype != np.float32 or array.strides[1] != array.itemsize:
+        raise TypeError(f"the kernel takes rows of float32, not {array.dtype} of strides {array.strides}")
+    return int(array.__array_interface__["data"][0]), array.strides[0] // array.itemsize
+
+
+@lru_cache(maxsize=1)
+def _found() -> tuple[ctypes.CDLL | None, str]:
+    if os.environ.get(SWITCH, "").lower() in ("off", "0"):
+        return None, f"switched off by {SWITCH}"
+    try:
+        import hnf_kernel
+    except ImportError:
+        return None, "not installed"
+    folder = Path(hnf_kernel.__file__).parent
+    try:
+        library = _load(folder / f"hnf_kernel{SUFFIX}")
+        wide = folder / f"hnf_kernel_wide{SUFFIX}"
+        if library.hnf_has_wide_vectors() and wide.is_file():
+            library = _load(wide)
+    except OSError as error:
+        return None, str(error)
+    return library, ""
+
+
+def _load(path: Path) -> ctypes.CDLL:
+    """Raises OSError where it cannot be loaded or is another version."""
+    library = ctypes.CDLL(str(path))
+    for name in ("hnf_abi", "hnf_has_wide_vectors"):
+        function = getattr(library, name)
+        function.restype, function.argtypes = _Integer, ()
+    if library.hnf_abi() != ABI:
+        raise OSError(f"{path.name} is of version {library.hnf_abi()} where {ABI} is wanted: build and install it anew")
+    for name, arguments in _SIGNATURES.items():
+        function = getattr(library, name)
+        function.restype, function.argtypes = None, arguments
+    return library

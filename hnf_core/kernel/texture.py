@@ -1,0 +1,89 @@
+"""Compiled: the carriers, modulated (the twins in numpy are in field/texture.py)."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .library import address, rows
+
+Float = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Between:
+    """Where n samples lie between m knots. row: (n,) the knot before, ascending, at most m − 2. share: (n,) of the way
+    to the next."""
+
+    row: NDArray[np.int64]
+    share: Float32
+
+    @staticmethod
+    def of(row: NDArray[np.intp], share: Float32) -> Between:
+        return Between(np.ascontiguousarray(row, dtype=np.int64), np.ascontiguousarray(share))
+
+    def check(self, samples: int, knots: int) -> None:
+        """Raises ValueError where these are not so many samples between so many knots."""
+        fits = len(self.row) == len(self.share) == samples
+        if not fits or (samples and not 0 <= self.row[0] <= self.row[-1] <= knots - 2):
+            raise ValueError(f"{len(self.row)} places between {knots} knots for {samples} samples")
+
+
+def faded(kernel: ctypes.CDLL, amplitude: Float32, waves: Float32, between: Between) -> Float32:
+    """Σ_k A_k c_k (n,) of amplitudes (m, K) at knots and waves (K, n)."""
+    bands, count = waves.shape
+    between.check(count, len(amplitude))
+    out = np.empty(count, dtype=np.float32)
+    kernel.hnf_faded(
+        *rows(amplitude), bands, address(waves, np.float32), count, address(between.row, np.int64),
+        address(between.share, np.float32), address(out, np.float32),
+    )  # fmt: skip
+    return out
+
+
+@dataclass(frozen=True)
+class Octave:
+    """One octave's carriers without their middle. amplitude: (m, B) at knots. hops: neighbouring pieces (B, cells) as
+    field/hops.py keeps them. first: cell with which they begin. per_m: cells in a metre."""
+
+    amplitude: Float32
+    hops: Sequence[NDArray[np.complex64]]
+    first: int
+    per_m: float
+
+
+def in_arc(
+    kernel: ctypes.CDLL, octaves: Iterable[Octave], turns: float, place: Float, cubic: Float32, between: Between
+) -> Float32:
+    """Σ_k A_k Re(c_k e^{2πi · turns · cell}) of all octaves at place (n,) [m]; (n,).
+
+    cubic: (4, 4), per cell that is read the powers of the way to the next. Raises ValueError where a place is not
+    finite or lies outside the cells.
+    """
+    out = np.zeros(len(place), dtype=np.float32)
+    least, most = float(place.min()), float(place.max())
+    if not math.isfinite(least + most):
+        raise ValueError(f"places from {least} to {most} m")
+    sampled = (
+        address(place, np.float64), address(cubic, np.float32), address(between.row, np.int64),
+        address(between.share, np.float32), len(place),
+    )  # fmt: skip
+    for octave in octaves:
+        between.check(len(place), len(octave.amplitude))
+        bands, length = octave.hops[0].shape
+        first, last = math.floor(least * octave.per_m) - 1, math.floor(most * octave.per_m) + 2
+        if first < octave.first or last >= octave.first + length * len(octave.hops):
+            raise ValueError(f"cells {first} to {last} are read, of {len(octave.hops)} hops from {octave.first} on")
+        hops = (ctypes.c_void_p * len(octave.hops))(*(address(hop, np.complex64) for hop in octave.hops))
+        scratch = np.empty(4 * (last + 1 - first), dtype=np.float32)
+        kernel.hnf_read_arc(
+            *rows(octave.amplitude), bands, hops, length, octave.first, octave.per_m, turns, *sampled,
+            address(scratch, np.float32), address(out, np.float32),
+        )  # fmt: skip
+    return out

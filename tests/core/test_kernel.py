@@ -1,0 +1,225 @@
+"""The compiled kernel says what numpy says, refuses what it would misread, and nobody depends on it."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hnf_core.bench.synth import forget_carriers, ten_seconds
+from hnf_core.field import texture
+from hnf_core.field.adaptive import Sampled, accumulated
+from hnf_core.field.band_waves import complex_waves, real_waves
+from hnf_core.field.carriers import Carriers
+from hnf_core.field.field import Emission, FieldConfig
+from hnf_core.field.knots import Knots
+from hnf_core.field.linear_contact import linear_contact
+from hnf_core.field.noise import band_bins, crossfade_window
+from hnf_core.field.synthesis import prepare, rendered
+from hnf_core.field.texture import REACH, texture_hop
+from hnf_core.field.timeline import action_at, condition_of, states_of
+from hnf_core.field.weights import load_field
+from hnf_core.kernel import library
+from hnf_core.kernel.contact import TOUCH, add_rows, contact_noise
+from hnf_core.kernel.library import kernel, plainly, why_not
+from hnf_core.kernel.noise import bins
+from hnf_core.kernel.texture import Between, Octave, faded, in_arc
+from hnf_core.material.library import find
+
+CARRIERS = Carriers()
+HOP = texture.HOP
+needs_kernel = pytest.mark.skipif(kernel() is None, reason=f"no compiled kernel here: {why_not()}")
+
+
+def level_db(found: np.ndarray, wanted: np.ndarray) -> float:
+    return float(20.0 * np.log10(np.std(found - wanted) / np.std(wanted)))
+
+
+def libraries() -> list[Path]:
+    import hnf_kernel
+
+    return sorted(Path(hnf_kernel.__file__).parent.glob(f"hnf_kernel*{library.SUFFIX}"))
+
+
+@pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="an environment that is left without")
+def test_an_environment_with_its_compiler_has_it():
+    assert why_not() == ""
+    assert len(libraries()) == 2
+
+
+@needs_kernel
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 10**6), st.sampled_from([0.003, 0.08, 0.5]), st.sampled_from([40, 50, 700]))
+def test_a_hop_is_the_one_that_numpy_reads(seed, speed, spacing):
+    """Knots anywhere, some of them silent, a hand that turns back; waves drawn by either."""
+    rng = np.random.default_rng(seed)
+    at = np.cumsum(rng.integers(1, spacing, 2 + (HOP + 2 * REACH) // (spacing // 2)))
+    amplitude = rng.uniform(0.0, 1.0, (len(at), CARRIERS.count)) * rng.integers(0, 4, (len(at), 1)).clip(0, 1)
+    place = speed * np.sin(np.arange(HOP + 2 * REACH) / 1e4 * rng.uniform(0.5, 9.0)) / 3.0 + rng.uniform(-3.0, 3.0)
+    hop = int(rng.integers(-50, 50))
+    knots = Knots(at + hop * HOP - REACH, amplitude)
+    forget_carriers()
+    found = texture_hop(knots, CARRIERS, seed, place, hop)
+    with plainly():
+        read_plainly = texture_hop(knots, CARRIERS, seed, place, hop)
+        forget_carriers()
+        wanted = texture_hop(knots, CARRIERS, seed, place, hop)
+    assert np.std(wanted) > 0.01
+    assert level_db(found, read_plainly) < -120.0
+    assert level_db(found, wanted) < -115.0
+
+
+@needs_kernel
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10**6), st.integers(-5, 5), st.integers(0, 7))
+def test_noise_and_its_waves_are_numpys(seed, block, octave):
+    edges, size = CARRIERS.arc_edges()[24 * octave :][:25] * CARRIERS.arc_step_m(octave) * 8192, 1024
+    window = crossfade_window(size)
+    drawn, starts = band_bins(seed, octave, block, edges, 8192)
+    found = complex_waves(drawn, starts, 384, size, window), real_waves(drawn, starts, 2048, np.repeat(window, 2))
+    with plainly():
+        np.testing.assert_allclose(drawn, band_bins(seed, octave, block, edges, 8192)[0], rtol=1e-13, atol=1e-9)
+        wanted = complex_waves(drawn, starts, 384, size, window), real_waves(drawn, starts, 2048, np.repeat(window, 2))
+    for one, other in zip(found, wanted, strict=True):
+        assert one.dtype == other.dtype
+        assert np.abs(one - other).max() < 2e-6 * np.abs(other).max()
+
+
+@needs_kernel
+@pytest.mark.parametrize("material", ["leather", "cotton-canvas", "brass"])
+def test_contact_is_numpys_to_the_last_digits(material):
+    stroke = ten_seconds(3.0)
+    stroke = type(stroke)(stroke.action, find(material).token[None], (find(material).mechanics,), stroke.token_index)
+    action, index = states_of(stroke)
+    condition = condition_of(stroke, *action_at(action, index, np.arange(-60, 30_000, 37)))
+    found = linear_contact(condition, CARRIERS)
+    with plainly():
+        wanted = linear_contact(condition, CARRIERS)
+    for name in ("power", "normal", "noise", "resonance"):
+        one, other = getattr(found, name), getattr(wanted, name)
+        assert other.max() > 0.0
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-15 * other.max())
+    np.testing.assert_allclose(found.lines.power, wanted.lines.power, rtol=1e-12, atol=1e-15 * wanted.lines.power.max())
+
+
+@needs_kernel
+@given(st.integers(0, 10**6), st.integers(2, 40))
+def test_accumulated_states_are_numpys(seed, count):
+    rng, config = np.random.default_rng(seed), FieldConfig()
+    at = np.unique(np.concatenate([[0, 3000], rng.integers(0, 3000, count)]))
+    emission = Emission(
+        rng.uniform(0.0, 2.0, (len(at), 1, config.carriers.count)), rng.uniform(0, 4, (len(at), config.states))
+    )
+    sampled = Sampled(at, emission, 0.0)
+    found_at, found = accumulated(config, sampled, 3000)
+    with plainly():
+        wanted_at, wanted = accumulated(config, sampled, 3000)
+    np.testing.assert_array_equal(found_at, wanted_at)
+    np.testing.assert_allclose(found, wanted, rtol=1e-13, atol=1e-14)
+
+
+@needs_kernel
+@pytest.mark.parametrize("tolerance", [None, 0.01])
+def test_a_stroke_is_numpys_and_the_same_each_time(tolerance):
+    field, stroke = load_field(), ten_seconds(2.0)
+
+    def signal() -> np.ndarray:
+        forget_carriers()
+        return rendered(prepare(field, stroke, seed=8, tolerance=tolerance))
+
+    with plainly():
+        wanted = signal()
+    found = signal()
+    assert found.tobytes() == signal().tobytes()
+    assert found.tobytes() != wanted.tobytes()
+    assert level_db(found, wanted) < -115.0
+    forget_carriers()
+
+
+@needs_kernel
+def test_every_build_says_the_same(monkeypatch):
+    field, stroke, found = load_field(), ten_seconds(1.0), []
+    for path in libraries():
+        one = library._load(path)
+        monkeypatch.setattr(library, "_found", lambda one=one: (one, ""))
+        forget_carriers()
+        found.append(rendered(prepare(field, stroke, seed=8)))
+    assert len(found) == 2
+    assert level_db(*found) < -115.0
+    forget_carriers()
+
+
+class Refuses:
+    """A kernel that must not be called."""
+
+    def __getattr__(self, name: str):
+        return lambda *given: pytest.fail(f"{name} was called")
+
+
+def test_what_it_would_misread_never_reaches_it():
+    none, rows, between = Refuses(), np.ones((3, 2), np.float32), Between(np.zeros(8, int), np.zeros(8, np.float32))
+    waves, hops = np.ones((2, 8), np.float32), [np.ones((2, 64), np.complex64)]
+    with pytest.raises(TypeError, match="float32"):
+        faded(none, rows.astype(float), waves, between)
+    with pytest.raises(TypeError, match="contiguous"):
+        faded(none, rows, np.ones((8, 2), np.float32).T, between)
+    for row in (np.full(8, 2), np.full(8, -1), np.zeros(7, int)):
+        with pytest.raises(ValueError, match="knots"):
+            faded(none, rows, waves, Between(row, np.zeros(8, np.float32)))
+    cubic = np.ones((4, 4), np.float32)
+    for place in (np.nan, np.inf, 0.0, 0.062, 1e6):
+        with pytest.raises(ValueError, match=r"places|cells"):
+            in_arc(none, [Octave(rows, hops, 0, 1000.0)], 0.1, np.full(8, place), cubic, between)
+    words = np.zeros(4, np.uint64)
+    with pytest.raises(TypeError, match="uint64"):
+        bins(none, words.astype(np.int64), words, np.ones(4))
+    with pytest.raises(ValueError, match="words"):
+        bins(none, words, words, np.ones(5))
+    values, one = np.ones((5, 3)), np.ones(2)
+    for row in ([0, 4], [-1, 0]):
+        with pytest.raises(ValueError, match="rows"):
+            add_rows(none, values, np.array(row), one, one, np.zeros((2, 3)))
+    with pytest.raises(ValueError, match="rows"):
+        add_rows(none, values, np.array([0, 1]), one, one, np.zeros((2, 4)))
+    touch, height, density = np.ones((2, len(TOUCH))), np.ones((2, 9)), np.ones((4, 2, 3))
+    for band in (3, -1):
+        with pytest.raises(ValueError, match="contact"):
+            contact_noise(none, touch, np.ones(9), height, density, np.full(9, band), np.zeros(4, int), (1.0, 1.0))
+
+
+def test_switched_off_numpy_does_the_work():
+    code = (
+        "from hnf_core.kernel.library import kernel, why_not; from hnf_core.bench.synth import ten_seconds;"
+        "from hnf_core.field.synthesis import synthesise; from hnf_core.field.weights import load_field;"
+        "s = synthesise(load_field(), ten_seconds(0.3), seed=1).signal.samples; print(kernel(), why_not(), s.std() > 0)"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code], env=os.environ | {"HNF_KERNEL": "off"}, capture_output=True, text=True, timeout=60
+    )
+    assert run.stdout.strip() == "None switched off by HNF_KERNEL True", run.stderr
+
+
+def test_another_version_or_a_damaged_file_is_left_alone(monkeypatch, tmp_path):
+    package = tmp_path / "hnf_kernel"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / f"hnf_kernel{library.SUFFIX}").write_text("not a library")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "hnf_kernel", raising=False)
+    found, why = library._found.__wrapped__()
+    assert found is None
+    assert "hnf_kernel" in why
+    monkeypatch.undo()
+    sys.modules.pop("hnf_kernel", None)
+    if kernel() is not None:
+        monkeypatch.setattr(library, "ABI", 10**6)
+        found, why = library._found.__wrapped__()
+        assert found is None
+        assert "build and install it anew" in why
