@@ -23,6 +23,7 @@ from ..field.reference import synthesise_reference
 from ..field.stroke import StrokeInput, uniform_stroke
 from ..field.synthesis import contact_term, prepare, rendered
 from ..field.weights import load_field
+from ..kernel.library import kernel, plainly
 from ..material.library import find
 from .frame import Options, Row, Times, peak_mb
 from .synth_ar import autoregressive
@@ -38,6 +39,7 @@ HIDDEN = 1024
 WINDOWS, QUICK_WINDOWS, WINDOW = 20, 2, 500
 """Stretches all over the stroke in which errors are measured, and their samples."""
 TOLERANCES_DB = (-30.0, -40.0, -50.0)
+KEPT_DB = (-30.0, -40.0)
 SEED = 11
 AS_IN_SCENES = "every state"
 """What the others' times are told in."""
@@ -143,14 +145,33 @@ def _methods(field: Field, stroke: StrokeInput) -> list[Method]:
     def rival(_: Field, stroke: StrokeInput, seed: int) -> Float:
         return autoregressive(stroke.action, seed)
 
+    def numpy_alone(tolerance_db: float | None, field: Field, stroke: StrokeInput, seed: int) -> Float:
+        with plainly():
+            return within(tolerance_db, field, stroke, seed)
+
+    followed = [
+        Method(f"within {db:g} dB", partial(within, db), note="F_Θ where the action asks") for db in TOLERANCES_DB
+    ]
+    kept = [
+        Method(f"within {db:g} dB, carriers kept", partial(within, db), cold=False, note="the same stroke once more")
+        for db in KEPT_DB
+    ]
+    alone = [
+        Method(f"{AS_IN_SCENES}, numpy alone", partial(numpy_alone, None), note="as on a Mac, without the kernel"),
+        *(
+            Method(f"within {db:g} dB, carriers kept, numpy alone", partial(numpy_alone, db), cold=False)
+            for db in KEPT_DB
+        ),
+    ]
     return [
         Method("every 0.5 ms", partial(within, float("-inf")), note="F_Θ 2000 times a second"),
         Method("every state, plain carriers", plain, note="200 times a second, carriers band by band in float64"),
         Method(AS_IN_SCENES, partial(within, None), note="200 times a second; what scenes and previews use"),
         *([bfloat16] if has_bfloat16() else []),
-        *(Method(f"within {db:g} dB", partial(within, db), note="F_Θ where the action asks") for db in TOLERANCES_DB),
-        Method("within -40 dB, carriers kept", partial(within, -40.0), cold=False, note="the same stroke once more"),
+        *followed,
+        *kept,
         Method("from a table, carriers kept", tabled, cold=False, note=f"{table.megabytes:.0f} MB for one material"),
+        *(alone if kernel() is not None else []),
         Method("piecewise AR (HaTT), a loop in numpy", rival, note="another model: time only", ours=False),
     ]
 
