@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernel.contact import TOUCH, Noise, contact_noise
+from ..kernel import contact as kernel_contact
+from ..kernel.contact import TOUCH
 from ..kernel.library import kernel
 from ..material.contact import (
     contact_radius,
@@ -28,7 +29,7 @@ from ..material.contact import (
 from ..material.mechanics import Mechanics
 from ..material.probe import PROBES
 from .carriers import ARC_PER_OCTAVE, Carriers
-from .linear_texture import Texture, add_at, cut_lines, cut_noise, folded_density, shifts, texture_of
+from .linear_texture import add_at, cut_lines, cut_noise, kernel_tables, texture_of
 from .lines import Lines
 
 Float = NDArray[np.float64]
@@ -94,31 +95,14 @@ def upper_fade(frequency: Float) -> Float:
 
 def linear_contact(condition: Condition, carriers: Carriers) -> LinearContact:
     """Expected power of each state, as if it lasted; out of contact as at the force floor."""
-    kappa = carriers.arc_centres()
-    texture = texture_of(condition.tokens, condition.direction, carriers)
     touch, resonance = _touch(condition)
     compiled = kernel()
     if compiled is None:
-        found = _noise(texture, touch, carriers, condition.probe)
-    else:
-        found = contact_noise(
-            compiled, np.stack([touch[name] for name in TOUCH], axis=1), kappa, texture.noise, folded_density(texture),
-            texture.band.astype(np.int64, copy=False), np.array(shifts()), _hand(condition.probe),
-        )  # fmt: skip
-    # The same for the tones, each where it sounds.
-    wave = np.square(2.0 * np.pi * kappa)
-    power, low = cut_lines(texture, np.stack([found.passed, found.leaned * wave, found.leaned]), carriers)
-    met, leant, climbed = np.moveaxis(power, 1, 0)
-    at = np.clip(low + np.arange(2)[:, None, None], 0, len(kappa) - 1)
-    rows = np.arange(len(at[0]))[:, None]
-    tone, rubbed = met * found.up[rows, at], touch["rubbed"][:, None]
-    leaning = leant + touch["flank"][:, None] * climbed * wave[at]
-    lines = Lines(tone * rubbed + leaning * found.aside[rows, at], low)
-    power, normal = found.power.copy(), found.normal.copy()
-    for tap in range(2):
-        add_at(power, low + tap, lines.power[tap])
-        add_at(normal, low + tap, tone[tap])
-    return LinearContact(power, normal.sum(axis=1), resonance, found.power, lines)
+        return _linear_contact(condition, carriers, touch, resonance)
+    tokens = np.ascontiguousarray(condition.tokens, dtype=np.float64)
+    columns = np.stack([touch[name] for name in TOUCH], axis=1)
+    found = kernel_contact.linear_contact(compiled, kernel_tables(carriers, *hand_of(condition.probe)), tokens, columns)
+    return LinearContact(found.power, found.normal, resonance, found.noise, Lines(found.lines, found.low))
 
 
 def _touch(condition: Condition) -> tuple[dict[str, Float], Float]:
@@ -135,6 +119,7 @@ def _touch(condition: Condition) -> tuple[dict[str, Float], Float]:
         resonance[rows] = resonance_hz(mechanics, probe, force[rows])
     sharp = np.square(1.0 - radius / probe.tip_radius_m)
     return {
+        "angle": np.arctan2(condition.direction[:, 1], condition.direction[:, 0]),
         "speed": np.maximum(condition.speed, SPEED_FLOOR_M_S),
         "radius": radius,
         "stiffness": stiffness,
@@ -146,27 +131,41 @@ def _touch(condition: Condition) -> tuple[dict[str, Float], Float]:
     }, resonance
 
 
-def _hand(probe: str) -> tuple[float, float]:
+def hand_of(probe: str) -> tuple[float, float]:
     """Stiffness over mass of the hand that holds the probe sideways, and 4 ζ² times it."""
     hand = HAND_STIFFNESS_N_M / PROBES[probe].mass_kg
     return hand, 4.0 * HAND_DAMPING_RATIO**2 * hand
 
 
-def _noise(texture: Texture, touch: dict[str, Float], carriers: Carriers, probe: str) -> Noise:
-    """Without the lattice's tones."""
-    kappa = carriers.arc_centres()
-    speed, radius, stiffness, damping, mass, load_square, rubbed, flank = (touch[name][:, None] for name in TOUCH)
-    passed = np.square(tip_gain(kappa, radius))
-    leaned = np.square(tip_gain(ASPERITY_SHARE * kappa, radius))
+def _linear_contact(
+    condition: Condition, carriers: Carriers, touch: dict[str, Float], resonance: Float
+) -> LinearContact:
+    """In numpy: what the kernel is tested against."""
+    kappa, wave = carriers.arc_centres(), np.square(2.0 * np.pi * carriers.arc_centres())
+    texture = texture_of(condition.tokens, condition.direction, carriers)
+    speed, radius, stiffness, damping, mass, load_square, rubbed, flank = (touch[name][:, None] for name in TOUCH[1:])
     square = np.square(2.0 * np.pi * kappa * speed)
-    hand, hand_damping = _hand(probe)
+    hand, hand_damping = hand_of(condition.probe)
     lateral = np.square(square) / (np.square(hand - square) + hand_damping * square)
     fade = np.square(arc_gain(kappa, touch["speed"]))
-    wave = np.square(2.0 * np.pi * kappa)
     up, aside = power_gain(square, stiffness, damping, mass) * fade, lateral * load_square * fade
-    height, slope, leaning = cut_noise(texture, np.stack([passed, leaned * wave, leaned]), carriers)
+    passed, leaned = np.square(tip_gain(kappa, radius)), np.square(tip_gain(ASPERITY_SHARE * kappa, radius))
+    weights = np.stack([passed, leaned * wave, leaned])
+    height, slope, leaning = cut_noise(texture, weights, carriers)
     normal = height * up
-    return Noise(normal * rubbed + (slope + flank * wave * leaning) * aside, normal, passed, leaned, up, aside)
+    noise = normal * rubbed + (slope + flank * wave * leaning) * aside
+    # The same for the tones, each where it sounds.
+    cut, low = cut_lines(texture, weights, carriers)
+    met, leant, climbed = np.moveaxis(cut, 1, 0)
+    at = np.clip(low + np.arange(2)[:, None, None], 0, len(kappa) - 1)
+    rows = np.arange(len(speed))[:, None]
+    tone = met * up[rows, at]
+    lines = Lines(tone * rubbed + (leant + flank * climbed * wave[at]) * aside[rows, at], low)
+    power = noise.copy()
+    for tap in range(2):
+        add_at(power, low + tap, lines.power[tap])
+        add_at(normal, low + tap, tone[tap])
+    return LinearContact(power, normal.sum(axis=1), resonance, noise, lines)
 
 
 def profile_band_power(height_spectrum: Float, condition: Condition, carriers: Carriers) -> Float:

@@ -13,6 +13,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ..kernel.contact import Tables
 from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M
 from .carriers import ARC_PER_OCTAVE, Carriers
 
@@ -21,6 +22,9 @@ Float = NDArray[np.float64]
 ANGLES = 24
 """Wave-vector angles over 180°, as the angular density is sampled."""
 _GRID_ANGLES = (np.arange(ANGLES) + 0.5) * np.pi / ANGLES
+LEAST_LEFT = 1e-9
+"""Of a band's power for noise beside its tones. Below it is rounding, and spreading it over log κ would tell 1e-16 from
+0 in the bands between."""
 _LINE_CONCENTRATION = 20.0
 """Of the angular density of strictly oriented waves: about ±10°."""
 _BUMP_MEAN = np.mean(np.exp(_LINE_CONCENTRATION * (np.cos(2.0 * _GRID_ANGLES) - 1.0)))
@@ -61,13 +65,19 @@ def texture_of(tokens: NDArray[np.float32] | Float, direction: Float, carriers: 
     tones = np.clip(tones / np.maximum(tones.sum(axis=0), 1.0), 0.0, 1.0)
     position = np.log2(carriers.arc_centres() * BAND_WAVELENGTHS_M[0])
     return Texture(
-        noise=_radial(power * np.clip(1.0 - tones.sum(axis=0), 0.0, 1.0), position),
+        noise=_radial(power * left_for_noise(tones), position),
         density=_angular_density(two, four, axis, along),
-        band=np.clip(np.rint(position).astype(np.intp), 0, bands - 1),
+        band=_nearest(position),
         line_power=power * tones,
         line_wavenumber=2.0 ** np.clip(feature["offset"], -0.5, 0.5) / BAND_WAVELENGTHS_M,
         line_cosine=np.abs(np.stack([np.cos(axis), np.sin(axis)])),
     )
+
+
+def left_for_noise(tones: Float) -> Float:
+    """(n, bands) of a band's power, what its two tones (2, n, bands) leave; the last digits of 1 are nothing."""
+    left = 1.0 - tones.sum(axis=0)
+    return np.where(left < LEAST_LEFT, 0.0, np.minimum(left, 1.0))
 
 
 def cut(texture: Texture, weight: Float, carriers: Carriers) -> Float:
@@ -84,24 +94,38 @@ def cut_noise(texture: Texture, weight: Float, carriers: Carriers) -> Float:
     # Wavenumbers first, so that those beyond a shift are one piece of memory.
     weighted = np.ascontiguousarray(np.moveaxis(texture.noise * weight, -1, -2))
     out, part, count = np.zeros_like(weighted), np.empty_like(weighted), weighted.shape[-2]
-    moved = np.take(np.swapaxes(folded_density(texture), 1, 2), texture.band, axis=1)
-    for shift, share in zip(shifts(), moved, strict=True):
+    # δ and 180° − δ move a wave alike, so their densities are one.
+    density = (texture.density[: ANGLES // 2] + texture.density[: ANGLES // 2 - 1 : -1]) / ANGLES
+    moved = np.take(np.swapaxes(density, 1, 2), texture.band, axis=1)
+    for shift, share in zip(_shifts().tolist(), moved, strict=True):
         if shift < count:
             np.multiply(weighted[..., shift:, :], share[shift:], out=part[..., shift:, :])
             out[..., : count - shift, :] += part[..., shift:, :]
     return np.moveaxis(out, -1, -2)
 
 
-def folded_density(texture: Texture) -> Float:
-    """(ANGLES / 2, n, bands) share of the waves that stand at each angle to the stroke: δ and 180° − δ move a wave
-    alike, so their densities are one."""
-    return np.asarray((texture.density[: ANGLES // 2] + texture.density[: ANGLES // 2 - 1 : -1]) / ANGLES)
-
-
 @lru_cache(maxsize=1)
-def shifts() -> tuple[int, ...]:
-    """Bands by which a cut moves the waves at each of those angles downward."""
-    return tuple(round(-ARC_PER_OCTAVE * np.log2(np.cos(angle))) for angle in _GRID_ANGLES[: ANGLES // 2])
+def _shifts() -> NDArray[np.intp]:
+    """(ANGLES / 2,) bands by which a cut moves a wave at each angle downward."""
+    return np.asarray(np.rint(-ARC_PER_OCTAVE * np.log2(np.cos(_GRID_ANGLES[: ANGLES // 2]))), dtype=np.intp)
+
+
+@lru_cache(maxsize=8)
+def kernel_tables(carriers: Carriers, hand: float, hand_damping: float) -> Tables:
+    """For kernel.contact.linear_contact. hand: stiffness over mass of the hand, sideways; hand_damping: 4 ζ² that."""
+    position, bands = np.log2(carriers.arc_centres() * BAND_WAVELENGTHS_M[0]), len(BAND_WAVELENGTHS_M)
+    below, angle = np.clip(np.floor(position).astype(int), 0, bands - 2), _GRID_ANGLES[: ANGLES // 2]
+    return Tables(
+        features=BAND_FEATURES, kappa=carriers.arc_centres(), below=below, share=np.clip(position - below, 0.0, 1.0),
+        token_band=_nearest(position), wavelength=np.asarray(BAND_WAVELENGTHS_M, dtype=np.float64), shift=_shifts(),
+        turn=np.stack([np.cos(2 * angle), np.sin(2 * angle), np.cos(4 * angle), np.sin(4 * angle)], axis=1),
+        per_octave=ARC_PER_OCTAVE, concentration=_LINE_CONCENTRATION, bump_mean=float(_BUMP_MEAN),
+        least_left=LEAST_LEFT, hand=hand, hand_damping=hand_damping,
+    )  # fmt: skip
+
+
+def _nearest(position: Float) -> NDArray[np.intp]:
+    return np.clip(np.rint(position).astype(np.intp), 0, len(BAND_WAVELENGTHS_M) - 1)
 
 
 def cut_lines(texture: Texture, weight: Float, carriers: Carriers) -> tuple[Float, NDArray[np.intp]]:

@@ -8,11 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..material.contact import surface_stiffness_at_1n, with_defaults
+from ..kernel.contact import TOUCH, linear_contact
+from ..kernel.library import kernel
+from ..material.contact import power_gain, surface_stiffness_at_1n, with_defaults
 from ..material.mechanics import Mechanics
 from ..material.probe import Probe
 from .carriers import ARC_PER_OCTAVE, Carriers
-from .linear_contact import FLANK_FRICTION, HAND_DAMPING_RATIO, HAND_STIFFNESS_N_M, arc_gain
+from .linear_contact import FLANK_FRICTION, arc_gain, hand_of
+from .linear_texture import kernel_tables
 from .live_texture import LiveTexture
 
 Float = NDArray[np.float64]
@@ -44,27 +47,44 @@ class LiveLinear:
         self._known, self._probe = with_defaults(mechanics), probe
         self._surface = surface_stiffness_at_1n(mechanics, probe)
         self._weight = np.empty((3, len(self._kappa)))
+        self._token, self._touch = np.array(token, dtype=np.float64)[None], np.empty((1, len(TOUCH)))
+        self._tables = kernel_tables(carriers, *hand_of(probe.name))
 
     def at(self, angle: float, speed: float, force: float) -> LinearState:
         """angle: radians; speed, force: m/s and N, not below their floors."""
-        probe, wave = self._probe, self._wave
+        probe, tip = self._probe, self._probe.tip_radius_m
         surface = self._surface * force ** (1.0 / 3.0)
         stiffness = surface * probe.stiffness_n_m / (surface + probe.stiffness_n_m)
-        tip = probe.tip_radius_m
         radius = min(math.sqrt(1.5 * force * tip / (stiffness if probe.soft_tip else surface)), tip)
+        damping = 4.0 * self._known.damping_ratio**2 * stiffness * probe.mass_kg
+        rubbed = 1.0 + self._known.friction**2
+        flank = (1.0 + FLANK_FRICTION * (1.0 - radius / tip) ** 2) ** 2 - 1.0
+        resonance = math.sqrt(stiffness / probe.mass_kg) / (2.0 * math.pi)
+        leaning = (force / probe.mass_kg) ** 2
+        touch = angle, speed, radius, stiffness, damping, probe.mass_kg, leaning, rubbed, flank
+        gain, compiled = arc_gain(self._kappa, np.array([speed]))[0], kernel()
+        if compiled is None:
+            return self._plainly(touch, resonance, gain)
+        self._touch[0] = touch
+        found = linear_contact(compiled, self._tables, self._token, self._touch)
+        normal, lines, low = float(found.normal[0]), found.lines[:, 0], found.low[0]
+        return LinearState(found.power[0], found.noise[0], normal, resonance, lines, low, gain)
+
+    def _plainly(self, touch: tuple[float, ...], resonance: float, gain: Float) -> LinearState:
+        """In numpy. touch: columns TOUCH."""
+        angle, speed, radius, stiffness, damping, mass, leaning, rubbed, flank = touch
+        wave = self._wave
         # The squares of tip_response at κ and at half of it, by which the bearing spots are smaller.
         reach = wave * radius**2
         passed, bent, leaned = weight = self._weight
         np.exp(reach * (-1.0 / 5.0), out=passed)
         np.exp(reach * (-1.0 / 20.0), out=leaned)
         np.multiply(leaned, wave, out=bent)
-        gain = arc_gain(self._kappa, np.array([speed]))[0]
-        up, aside = self._responses(speed, force, stiffness)
-        fade = np.square(gain)
-        up, aside = up * fade, aside * fade
+        squared, fade = wave * speed**2, np.square(gain)
+        hand, hand_damping = hand_of(self._probe.name)
+        lateral = np.square(squared) / (np.square(hand - squared) + hand_damping * squared)
+        up, aside = power_gain(squared, stiffness, damping, mass) * fade, lateral * leaning * fade
         cut = self._texture.cut(angle, weight)
-        rubbed = 1.0 + self._known.friction**2
-        flank = (1.0 + FLANK_FRICTION * (1.0 - radius / tip) ** 2) ** 2 - 1.0
         met = cut.noise[0] * up
         noise = met * rubbed + (cut.noise[1] + flank * wave * cut.noise[2]) * aside
         count = len(wave)
@@ -75,19 +95,7 @@ class LiveLinear:
         inside = where == at
         power = noise + np.bincount(at.ravel(), (lines * inside).ravel(), count)
         normal = float(met.sum() + (tone * inside).sum())
-        resonance = math.sqrt(stiffness / probe.mass_kg) / (2.0 * math.pi)
         return LinearState(power, noise, normal, resonance, lines, cut.low, gain)
-
-    def _responses(self, speed: float, force: float, stiffness: float) -> tuple[Float, Float]:
-        """Power gains (Ka,) of height to normal acceleration, and of slope to lateral acceleration."""
-        mass = self._probe.mass_kg
-        squared = self._wave * speed**2
-        damping = 4.0 * self._known.damping_ratio**2 * stiffness * mass * squared
-        fourth = np.square(squared)
-        up = fourth * (stiffness**2 + damping) / (np.square(stiffness - mass * squared) + damping)
-        hand = HAND_STIFFNESS_N_M / mass
-        lateral = fourth / (np.square(hand - squared) + 4.0 * HAND_DAMPING_RATIO**2 * hand * squared)
-        return np.asarray(up), np.asarray(lateral * (force / mass) ** 2)
 
 
 class TimeShare:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M
 from .carriers import ARC_PER_OCTAVE, Carriers
-from .linear_texture import ANGLES, texture_of
+from .linear_texture import ANGLES, left_for_noise, texture_of
 
 Float = NDArray[np.float64]
 
@@ -60,7 +60,6 @@ class LiveTexture:
         """angle: of the stroke, radians. weight: (3, Ka), what of a wave of each |κ| counts in three cuts."""
         two, four = self._moments * np.exp(angle * _FOLDS)
         axis = 0.25 * np.arctan2(four.imag, four.real)
-        # From here in the reference's own order: where tones take all, the last bit decides what is left for the noise.
         along = 0.5 * (1.0 + (two * np.exp(-2j * axis)).real)
         along = np.minimum(np.maximum(along, 0.0), 1.0)
         split = np.stack([along, 1.0 - along])
@@ -68,8 +67,7 @@ class LiveTexture:
         tones /= np.maximum(tones.sum(axis=0), 1.0)
         tones = np.minimum(np.maximum(tones, 0.0), 1.0)
         density = self._density(two, four, axis, along)
-        left = np.minimum(np.maximum(1.0 - tones.sum(axis=0), 0.0), 1.0)
-        np.multiply(weight, self._radial(self._power * left), out=self._weighted[:, :-1])
+        np.multiply(weight, self._radial(self._power * left_for_noise(tones)), out=self._weighted[:, :-1])
         np.take(self._weighted, self._source, axis=1, out=self._moved, mode="clip")
         noise = np.einsum("waj,aj->wj", self._moved, density.take(self._density_at))
         power = (weight[:, None, self._line_at] * (self._power * tones)).reshape(3, -1)

@@ -1,9 +1,10 @@
-"""Compiled: the noise of linear contact, and rows read between rows (the twins in numpy are in field/linear_contact.py
+"""Compiled: linear contact, and rows read between rows (the twins in numpy are in field/linear_contact.py
 and field/adaptive.py)."""
 
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,41 +15,76 @@ from .library import address
 Float = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-TOUCH = ("speed", "radius", "stiffness", "damping", "mass", "load_square", "rubbed", "flank")
+TOUCH = ("angle", "speed", "radius", "stiffness", "damping", "mass", "load_square", "rubbed", "flank")
 """Columns of what is known of each state, as in hnf_kernel.h."""
+FEATURES = ("level", "peak", "offset", "cos2", "sin2", "cos4", "sin4")
+"""Of a token's bands, that are asked for."""
 
 
-class Noise(NamedTuple):
-    """(n, K) each: power of all axes and of the normal one, squared share of a ripple that the tip and its spots pass
-    on, and what makes acceleration power of a height up and of a slope aside."""
+_COUNTS = ("bands", "token_bands", "features", "angles")
+_ARRAYS = ("kappa", "below", "share", "token_band", "wavelength", "turn", "shift")
+_NUMBERS = ("per_octave", "concentration", "bump_mean", "least_left", "hand", "hand_damping")
+
+
+class _Struct(ctypes.Structure):
+    _fields_ = (
+        *((name, ctypes.c_int64) for name in (*_COUNTS, *FEATURES)),
+        *((name, ctypes.c_void_p) for name in _ARRAYS),
+        *((name, ctypes.c_double) for name in _NUMBERS),
+    )
+
+
+class Tables:
+    """What no state changes, as hnf_tables in hnf_kernel.h; its arrays stay where they are.
+
+    features: names of a band's features in a token, in order. kappa, share: (K,); below, token_band: (K,); wavelength:
+    (T,); turn: (A, 4); shift: (A,); scalars by their names. Raises ValueError where they do not fit together.
+    """
+
+    def __init__(
+        self, *, features: Sequence[str], kappa: Float, share: Float, wavelength: Float, turn: Float, below: Integers,
+        token_band: Integers, shift: Integers, **numbers: float,
+    ) -> None:  # fmt: skip
+        self.bands, self.token_bands, self.angles = len(kappa), len(wavelength), len(shift)
+        inside = below.min() >= 0 and below.max() < self.token_bands - 1
+        inside &= token_band.min() >= 0 and token_band.max() < self.token_bands and shift.min() >= 0
+        if not (inside and len(share) == len(below) == len(token_band) == self.bands and turn.shape == (len(shift), 4)):
+            raise ValueError(f"tables of {self.bands} bands, {self.token_bands} of a token and {self.angles} angles")
+        self.token_size = self.token_bands * len(features)
+        self._kept = [
+            np.ascontiguousarray(array, dtype=np.float64 if array.dtype.kind == "f" else np.int64)
+            for array in (kappa, below, share, token_band, wavelength, turn, shift)
+        ]
+        self.struct = _Struct(
+            self.bands, self.token_bands, len(features), self.angles, *(list(features).index(n) for n in FEATURES),
+            *(each.__array_interface__["data"][0] for each in self._kept), *(numbers[name] for name in _NUMBERS),
+        )  # fmt: skip
+
+
+class Contact(NamedTuple):
+    """As field.linear_contact.LinearContact: power, noise (n, K); normal (n,); lines (2, n, 2T) and low (n, 2T)."""
 
     power: Float
+    noise: Float
     normal: Float
-    passed: Float
-    leaned: Float
-    up: Float
-    aside: Float
+    lines: Float
+    low: Integers
 
 
-def contact_noise(
-    kernel: ctypes.CDLL, touch: Float, kappa: Float, height: Float, density: Float, token_band: Integers,
-    shifts: Integers, hand: tuple[float, float],
-) -> Noise:  # fmt: skip
-    """touch: (n, 8) columns TOUCH. height: (n, K) m² at wavenumbers kappa (K,). density: (A, n, T) of what stands at
-    each angle; token_band: (K,) which of the T columns. shifts: (A,) bands by which the cut moves a wave. hand:
-    stiffness over mass, and 4 ζ² times it. Raises ValueError where shapes do not fit."""
-    angles, states, token_bands = density.shape
-    bands = len(kappa)
-    fits = touch.shape == (states, len(TOUCH)) and height.shape == (states, bands) and len(shifts) == angles
-    if not fits or len(token_band) != bands or not 0 <= token_band.min() <= token_band.max() < token_bands:
-        raise ValueError(f"contact of {touch.shape} states with {height.shape} heights and {density.shape} densities")
-    height, density = np.ascontiguousarray(height), np.ascontiguousarray(density)
-    found = Noise(*(np.empty((states, bands)) for _ in Noise._fields))
-    scratch, out = np.empty(3 * bands), (ctypes.c_void_p * len(found))(*(address(each, np.float64) for each in found))
+def linear_contact(kernel: ctypes.CDLL, tables: Tables, tokens: Float, touch: Float) -> Contact:
+    """tokens: (n, at least T · features). touch: (n, 9) columns TOUCH. Raises ValueError where shapes do not fit."""
+    states, lines = len(tokens), 2 * tables.token_bands
+    if touch.shape != (states, len(TOUCH)) or tokens.shape[1] < tables.token_size:
+        raise ValueError(f"contact of {touch.shape} states with tokens of {tokens.shape}")
+    found = Contact(
+        np.empty((states, tables.bands)), np.empty((states, tables.bands)), np.empty(states),
+        np.empty((2, states, lines)), np.empty((states, lines), dtype=np.int64),
+    )  # fmt: skip
+    scratch = np.empty(5 * tables.bands + (5 + tables.angles) * tables.token_bands)
+    out = (ctypes.c_void_p * len(found))(*(each.__array_interface__["data"][0] for each in found))
     kernel.hnf_linear_contact(
-        address(touch, np.float64), states, address(kappa, np.float64), bands, address(height, np.float64),
-        address(density, np.float64), token_bands, address(token_band, np.int64), address(shifts, np.int64), angles,
-        *hand, address(scratch, np.float64), out,
+        ctypes.byref(tables.struct), address(tokens, np.float64), tokens.shape[1], address(touch, np.float64), states,
+        address(scratch, np.float64), out,
     )  # fmt: skip
     return found
 

@@ -31,10 +31,7 @@ _SIGNATURES = {
         _Pointer, _Integer, _Integer, _Pointer, _Integer, _Integer, _Number, _Number, _Pointer, _Pointer, _Pointer,
         _Pointer, _Integer, _Pointer, _Pointer,
     ),
-    "hnf_linear_contact": (
-        _Pointer, _Integer, _Pointer, _Integer, _Pointer, _Pointer, _Integer, _Pointer, _Pointer, _Integer, _Number,
-        _Number, _Pointer, _Pointer,
-    ),
+    "hnf_linear_contact": (_Pointer, _Pointer, _Integer, _Pointer, _Integer, _Pointer, _Pointer),
     "hnf_add_rows": (_Pointer, _Integer, _Pointer, _Pointer, _Pointer, _Integer, _Pointer),
     "hnf_bins": (_Pointer, _Pointer, _Pointer, _Integer, _Pointer),
     "hnf_real_waves": (

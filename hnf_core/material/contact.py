@@ -116,11 +116,11 @@ def height_power(frequency_hz: ArrayLike, mechanics: Mechanics, probe: Probe, fo
     return power_gain(square, stiffness, damping, np.asarray(probe.mass_kg))
 
 
-def power_gain(square: Float, stiffness: Float, damping: Float, mass_kg: Float) -> Float:
+def power_gain(square: Float, stiffness: ArrayLike, damping: ArrayLike, mass_kg: ArrayLike) -> Float:
     """height_power() at ω² of a contact of stiffness k and damping c² = 4 ζ² k m; arguments broadcast."""
-    damped = damping * square
-    above = np.square(square) * (np.square(stiffness) + damped)
-    below = np.square(stiffness - mass_kg * square) + damped
+    spring, damped = np.asarray(stiffness, dtype=np.float64), np.asarray(damping, dtype=np.float64) * square
+    above = np.square(square) * (np.square(spring) + damped)
+    below = np.square(spring - np.asarray(mass_kg, dtype=np.float64) * square) + damped
     return np.divide(above, below, out=np.zeros(np.broadcast_shapes(above.shape, below.shape)), where=below != 0.0)
 
 

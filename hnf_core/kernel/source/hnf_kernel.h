@@ -32,17 +32,30 @@ HNF_EXPORT void hnf_read_arc(const float *amplitude, int64_t stride, int64_t ban
 
 /* contact.c */
 typedef struct {
-    double speed, radius, stiffness, damping, mass, load_square, rubbed, flank;
+    double angle, speed, radius, stiffness, damping, mass, load_square, rubbed, flank;
 } hnf_touch;
 
+/* What no state changes. bands: of arc length; token_bands: of a token, with so many features each, at these places. */
 typedef struct {
-    double *noise, *normal, *passed, *leaned, *up, *aside;
+    int64_t bands, token_bands, features, angles;
+    int64_t level, peak, offset, cos2, sin2, cos4, sin4;
+    const double *kappa;        /* (bands,) cycles/m */
+    const int64_t *below;       /* (bands,) the token band below each, */
+    const double *share;        /* and how far it is on the way to the next */
+    const int64_t *token_band;  /* (bands,) the nearest */
+    const double *wavelength;   /* (token_bands,) m */
+    const double *turn;         /* (angles, 4) cos 2a, sin 2a, cos 4a, sin 4a */
+    const int64_t *shift;       /* (angles,) bands by which a cut moves a wave that stands there */
+    double per_octave, concentration, bump_mean, least_left, hand, hand_damping;
+} hnf_tables;
+
+typedef struct {
+    double *power, *noise, *normal, *lines;
+    int64_t *low;
 } hnf_contact;
 
-HNF_EXPORT void hnf_linear_contact(const hnf_touch *touch, int64_t states, const double *kappa, int64_t bands,
-                                   const double *height, const double *density, int64_t token_bands,
-                                   const int64_t *token_band, const int64_t *shift, int64_t angles,
-                                   double hand, double hand_damping, double *scratch, const hnf_contact *out);
+HNF_EXPORT void hnf_linear_contact(const hnf_tables *tables, const double *tokens, int64_t token_size,
+                                   const hnf_touch *touch, int64_t states, double *scratch, const hnf_contact *out);
 
 /* rows.c */
 HNF_EXPORT void hnf_add_rows(const double *values, int64_t width, const int64_t *row, const double *share,
