@@ -27,11 +27,11 @@ from ..material.token import LARGEST_VALUE, TOKEN_DIM
 from .carriers import ARC_PER_OCTAVE, MODEL_RATE_HZ
 from .field import Field
 from .linear_contact import BAND_END_HZ
+from .live_arc import LiveArc
 from .live_contact import LivePressing
 from .live_emission import LiveEmission
 from .live_noise import LiveNoise
 from .live_state import LiveState
-from .modulation import lagrange
 from .synthesis import AFTER_CONTACT_S
 from .timeline import SAMPLES_PER_STATE
 
@@ -43,7 +43,6 @@ PRESSING_DELAY_STATES = 2
 """The same for what pressing alone gives."""
 _SHARE = np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE
 _FADE_STATES = round(AFTER_CONTACT_S * ACTION_RATE_HZ) - 1
-_TAPS = np.arange(4)[:, None, None]
 _HERMITE = np.stack(
     [
         2 * _SHARE**3 - 3 * _SHARE**2 + 1,
@@ -91,7 +90,7 @@ class LiveSynthesis:
             raise UsageError("a field of the published form cannot be felt live.", remedy="Use the shared field.")
         self._config, self._carriers = field.config, field.config.carriers
         self._emission = [LiveEmission(field, *each, probe) for each in zip(tokens, mechanics, strict=True)]
-        self._noise = LiveNoise(self._carriers, seed)
+        self._noise, self._arcs = LiveNoise(self._carriers, seed), LiveArc(self._carriers, seed)
         self._pressing = LivePressing(mechanics, probe)
         self._kappa = self._carriers.arc_centres()
         memory = field.config.stride * (field.config.states - 1) + 1
@@ -107,13 +106,13 @@ class LiveSynthesis:
 
     @property
     def kept_blocks(self) -> int:
-        """Blocks of noise in memory: at most seven of each of the chains."""
-        return self._noise.kept
+        """Pieces of noise in memory: at most seven blocks in time and four hops of each octave."""
+        return self._noise.kept + self._arcs.kept
 
     @property
     def made_at_once(self) -> int:
-        """Blocks of noise that a step had to wait for: the hand jumped."""
-        return self._noise.at_once
+        """Pieces of noise that a step had to wait for: the hand jumped."""
+        return self._noise.at_once + self._arcs.at_once
 
     def step(self, state: LiveState) -> Float:
         """(SAMPLES_PER_STATE,) m/s², finite: from the state before to this one. Raises UsageError for a material that
@@ -126,7 +125,8 @@ class LiveSynthesis:
         out = self._felt(state) if state.contact or self._audible > 0.0 else self._silent()
         self._sample += SAMPLES_PER_STATE
         speed = (self._places[-1] - self._places[-2]) * ACTION_RATE_HZ
-        self._noise.prepare(self._sample, self._places[-1], speed)
+        self._noise.prepare(self._sample)
+        self._arcs.prepare(self._places[-1], speed)
         return out
 
     def _felt(self, state: LiveState) -> Float:
@@ -173,7 +173,7 @@ class LiveSynthesis:
         out = np.zeros(SAMPLES_PER_STATE)
         if not pair.any():
             return out
-        mixed = self._noise.time.mixed(pair[:, carriers.time_slice], self._sample, SAMPLES_PER_STATE)
+        mixed = self._noise.mixed(pair[:, carriers.time_slice], self._sample, SAMPLES_PER_STATE)
         out += mixed[0] * (1.0 - _SHARE) + mixed[1] * _SHARE
         if carriers.arc_count:
             out += self._arc(pair[:, carriers.arc_slice].reshape(2, -1, ARC_PER_OCTAVE), travel)
@@ -182,23 +182,14 @@ class LiveSynthesis:
     def _arc(self, pair: NDArray[np.float32], travel: float) -> Float:
         """Σ_k A_k c_k(s(t)). pair: (2, octaves, 24). An octave that is left behind, being read too fast, fades out on
         the spot."""
-        noise, active = self._noise, np.flatnonzero(pair.any(axis=(0, 2)))
-        if len(active) == 0:
-            return np.zeros(SAMPLES_PER_STATE)
-        step = noise.steps_m[active][:, None]
+        active = np.flatnonzero(pair.any(axis=(0, 2)))
         fast = self._kappa[active * ARC_PER_OCTAVE] * (travel * ACTION_RATE_HZ) >= BAND_END_HZ
-        place = np.where(fast[:, None], self._places[-2], self._path()) / step
-        floor = np.floor(place)
-        cell, t = floor.astype(np.int64), place - floor
-        low, high = cell.min(axis=1) - 1, cell.max(axis=1) + 3
-        offset = np.concatenate([[0], np.cumsum(high - low)])
-        mixed = np.empty((2, offset[-1]), dtype=np.float32)
-        for row, octave in enumerate(active):
-            chain, span = noise.octaves[octave], slice(offset[row], offset[row + 1])
-            mixed[:, span] = chain.mixed(pair[:, octave], int(low[row]), int(high[row] - low[row]))
-        taps = _TAPS + (offset[:-1, None] + cell - 1 - low[:, None])
-        here, after = (mixed.take(taps, axis=1) * np.stack(lagrange(t))).reshape(2, -1, SAMPLES_PER_STATE).sum(axis=1)
-        return np.asarray(here * (1.0 - _SHARE) + after * _SHARE)
+        out = np.zeros(SAMPLES_PER_STATE)
+        if not fast.all():
+            out += self._arcs.read(pair, active[~fast], self._path())
+        if fast.any():
+            out += self._arcs.read(pair, active[fast], np.full(SAMPLES_PER_STATE, self._places[-2]))
+        return out
 
     def _path(self) -> Float:
         """s (SAMPLES_PER_STATE,) from the state before to this one."""

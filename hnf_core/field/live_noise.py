@@ -1,8 +1,7 @@
-"""The carriers' noise, made ahead in slices: no step waits for a whole block.
+"""The carriers in time under a live hand, made ahead in slices: no step waits for a whole block.
 
-The same chains as in carriers.py. A block of one octave takes 24 inverse FFTs; they are spread over the steps until the
-hand gets there, at its speed of now. No thread: a busy one holds the interpreter for milliseconds at a time. A place
-that nobody could foresee (a jump) is made at once. Blocks are kept as float32, six of a chain.
+The same chain as in carriers.py. A block takes an inverse FFT for each band; they are spread over the steps until it is
+needed. No thread: a busy one holds the interpreter for milliseconds at a time. Blocks are kept as float32.
 """
 
 from __future__ import annotations
@@ -14,45 +13,33 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from .carriers import ARC_BLOCK, ARC_PER_OCTAVE, ARC_STREAM, MODEL_RATE_HZ, TIME_BLOCK, Carriers
-from .linear_contact import BAND_END_HZ
+from .carriers import MODEL_RATE_HZ, TIME_BLOCK, Carriers
 from .noise import WORD, crossfade_window
 from .timeline import SAMPLES_PER_STATE
 
 Float = NDArray[np.float64]
 Single = NDArray[np.float32]
 
-KEPT_BLOCKS = 6
-"""Of a chain: the two that meet here, the next on either side, and what a hand that turns about a border has left."""
-FORESIGHT_STEPS = 100
-"""A block is made at least this evenly, also for a hand that rests."""
-
-KEPT_STARTS = 12
-"""Chains whose first blocks are kept, 2 to 6 MB each: another material under the same hand begins there too."""
-
-HASTE_STEPS = 8
-"""Where the hand is already but nothing sounds yet: a chain that was too fast to be heard."""
+HOP = TIME_BLOCK // 2
+KEPT_BLOCKS = 3
+"""The two that meet here, and the next."""
+KEPT_STARTS = 2
+"""Chains whose first blocks are kept, 6 MB each: another material under the same hand begins there too."""
 _AT_ONCE = 8
 """Bands whose numbers are worked out together."""
-AUDIBLE_SOON = 1.5
-"""Chains up to this factor above the band are made too: the hand may slow down."""
 
 
-class Chain:
-    """One family of noise bands, block by block; block j covers samples j·hop … j·hop + 2 hop.
+class LiveNoise:
+    """The carriers in time of a seed; block j covers samples j · HOP … (j + 2) · HOP. Made ready for a start at 0.
 
-    edges: (B + 1,) cycles per block. seed, stream: of its numbers, see raw_words. owed: pieces of work that should be
-    done by now. at_once: blocks that nobody had foreseen.
+    at_once: blocks that a step had to wait for.
     """
 
-    def __init__(self, seed: int, stream: int, edges: tuple[float, ...], size: int) -> None:
-        self.edges = edges
-        self.key, self.size, self.hop, self.bands = (seed, stream), size, size // 2, len(edges) - 1
-        self.starts = np.clip(np.ceil(edges).astype(int), 1, size // 2).tolist()
-        self.window = crossfade_window(size).astype(np.float32)
-        self.spectrum = np.zeros(size // 2 + 1, dtype=np.complex64)  # numpy 2 then needs half the time
-        self.owed, self.at_once = 0.0, 0
-        self._ready: dict[int, Single] = {}
+    def __init__(self, carriers: Carriers, seed: int) -> None:
+        edges = tuple(edge * (TIME_BLOCK / MODEL_RATE_HZ) for edge in carriers.time_edges_hz)
+        self.bands, self.at_once = len(edges) - 1, 0
+        self._seed, self._edges, self._owed = seed, edges, 0.0
+        self._ready: dict[int, Single] = dict(_about_zero(seed, edges))
         self._making: _Making | None = None
 
     @property
@@ -62,63 +49,51 @@ class Chain:
 
     def mixed(self, weights: Single, first: int, count: int) -> Single:
         """weights (m, B) @ samples first … first + count − 1 of the bands; (m, count)."""
-        start = first % self.hop
-        if start + count <= self.hop:  # nearly always: no border in it
-            block, stop = first // self.hop, start + count
-            part = weights @ self._block(block)[:, start:stop]
-            part += weights @ self._block(block - 1)[:, start + self.hop : stop + self.hop]
-            return part
-        out = np.zeros((len(weights), count), dtype=np.float32)
+        out = np.empty((len(weights), count), dtype=np.float32)
         place, last = first, first + count
         while place < last:
-            block = place // self.hop
-            start, stop = place - block * self.hop, min(last - block * self.hop, self.hop)
+            block = place // HOP
+            start, stop = place - block * HOP, min(last - block * HOP, HOP)
             part = weights @ self._block(block)[:, start:stop]
-            part += weights @ self._block(block - 1)[:, start + self.hop : stop + self.hop]
+            part += weights @ self._block(block - 1)[:, start + HOP : stop + HOP]
             out[:, place - first : place - first + stop - start] = part
             place += stop - start
         return out
 
-    def take(self, blocks: Mapping[int, Single]) -> None:
-        """Blocks that are known already, by their index."""
-        self._ready.update(blocks)
-
-    def foresee(self, place: float, pace: float, *, turns: bool = True) -> None:
-        """Owe a slice of the work ahead. place: sample; pace: samples per step, signed: where the hand goes. turns: it
-        may turn back."""
-        block = int(place // self.hop)
-        to_border = (block + 1) * self.hop - place if pace >= 0.0 else place - block * self.hop
-        ahead, behind = (block + 1, block - 2) if pace >= 0.0 else (block - 2, block + 1)
-        wanted = (block, block - 1, ahead, behind) if turns else (block, block - 1, ahead)
-        missing = next((index for index in wanted if index not in self._ready), None)
+    def prepare(self, sample: int) -> None:
+        """A step's share of the work ahead, as even as can be, in whole pieces."""
+        block = sample // HOP
+        missing = next((index for index in (block, block - 1, block + 1) if index not in self._ready), None)
         if missing is None:
-            self.owed = 0.0
+            self._owed = 0.0
             return
-        if self._making is None or self._making.index != missing:
-            self._making = _Making(self, missing)
-        left = self._making.left
-        share = self.bands / (FORESIGHT_STEPS if missing in (ahead, behind) else HASTE_STEPS)
-        if missing == ahead:
-            share = max(share, left / max(to_border / max(abs(pace), 1e-9) - 1.0, 1.0))
-        self.owed = min(self.owed + share, float(left))
+        making = self._begun(missing)
+        steps = (block + 1) * HOP - sample if missing > block else 0
+        self._owed += max(
+            self.bands / (HOP / SAMPLES_PER_STATE), making.left / max(steps / SAMPLES_PER_STATE - 1.0, 1.0)
+        )
+        while self._owed >= 1.0 and making.left:
+            making.go_on()
+            self._owed -= 1.0
+        if not making.left:
+            self._keep(making)
 
-    def work(self) -> None:
-        """One piece of what is owed."""
-        made = self._making
-        assert made is not None
-        made.go_on()
-        self.owed -= 1.0
-        if made.left == 0:
-            self._ready[made.index], self._making, self.owed = made.waves, None, 0.0
-            while len(self._ready) > KEPT_BLOCKS:
-                del self._ready[max(self._ready, key=lambda other: abs(other - made.index))]
+    def _begun(self, index: int) -> _Making:
+        if self._making is None or self._making.index != index:
+            self._making = _Making(self._seed, self._edges, index)
+        return self._making
+
+    def _keep(self, making: _Making) -> None:
+        self._ready[making.index], self._making, self._owed = making.waves, None, 0.0
+        while len(self._ready) > KEPT_BLOCKS:
+            del self._ready[max(self._ready, key=lambda other: abs(other - making.index))]
 
     def _block(self, index: int) -> Single:
         if index not in self._ready:
-            if self._making is None or self._making.index != index:
-                self._making = _Making(self, index)
-            while index not in self._ready:
-                self.work()
+            making = self._begun(index)
+            while making.left:
+                making.go_on()
+            self._keep(making)
             self.at_once += 1
         return self._ready[index]
 
@@ -126,26 +101,29 @@ class Chain:
 class _Making:
     """A block on its way: its numbers first, then band after band. left: pieces of about as much work."""
 
-    def __init__(self, chain: Chain, index: int) -> None:
-        self.index, self.left = index, chain.bands + 1
-        self.waves = np.empty((chain.bands, chain.size), np.float32)
-        self._chain, self._raw = chain, np.zeros(0, dtype=np.uint64)
+    def __init__(self, seed: int, edges: tuple[float, ...], index: int) -> None:
+        self.index, self.left = index, len(edges)
+        self.waves = np.empty((len(edges) - 1, TIME_BLOCK), np.float32)
+        self._starts = np.clip(np.ceil(edges).astype(int), 1, HOP).tolist()
+        self._seed, self._raw = seed, np.zeros(0, dtype=np.uint64)
         self._white = np.zeros(0, dtype=np.complex128)
+        self._window = crossfade_window(TIME_BLOCK).astype(np.float32)
+        self._spectrum = np.zeros(HOP + 1, dtype=np.complex64)  # numpy 2 then needs half the time
 
     def go_on(self) -> None:
-        chain = self._chain
-        band = chain.bands - self.left
+        bands, starts = len(self.waves), self._starts
+        band = bands - self.left
         self.left -= 1
         if band < 0:
-            self._raw = raw_words(*chain.key, self.index, chain.size // 2 + 1)
+            self._raw = raw_words(self._seed, 0, self.index, HOP + 1)
             return
-        first, low, high = (chain.starts[at] for at in (band - band % _AT_ONCE, band, band + 1))
+        first, low, high = (starts[at] for at in (band - band % _AT_ONCE, band, band + 1))
         if band == band - band % _AT_ONCE:
-            self._white = white_bins(self._raw, first, chain.starts[min(band + _AT_ONCE, chain.bands)])
-        factor, spectrum, wave = chain.size / math.sqrt(4.0 * (high - low)), chain.spectrum, self.waves[band]
+            self._white = white_bins(self._raw, first, starts[min(band + _AT_ONCE, bands)])
+        factor, spectrum, wave = TIME_BLOCK / math.sqrt(4.0 * (high - low)), self._spectrum, self.waves[band]
         np.multiply(self._white[low - first : high - first], factor, out=spectrum[low:high])
-        wave[:] = np.fft.irfft(spectrum, chain.size)
-        wave *= chain.window
+        wave[:] = np.fft.irfft(spectrum, TIME_BLOCK)
+        wave *= self._window
         spectrum[low:high] = 0.0
 
 
@@ -163,53 +141,13 @@ def white_bins(raw: NDArray[np.uint64], low: int, high: int) -> NDArray[np.compl
 
 
 @lru_cache(maxsize=KEPT_STARTS)
-def _about_zero(seed: int, stream: int, edges: tuple[float, ...], size: int) -> Mapping[int, Single]:
+def _about_zero(seed: int, edges: tuple[float, ...]) -> Mapping[int, Single]:
     """The blocks that meet at sample 0, and the one before."""
-    chain, blocks = Chain(seed, stream, edges, size), {}
+    blocks = {}
     for index in (-2, -1, 0):
-        making = _Making(chain, index)
+        making = _Making(seed, edges, index)
         while making.left:
             making.go_on()
         making.waves.setflags(write=False)
         blocks[index] = making.waves
     return blocks
-
-
-class LiveNoise:
-    """All carriers of a seed, about where the hand is. Made ready for a start at s = 0."""
-
-    def __init__(self, carriers: Carriers, seed: int) -> None:
-        period_s = TIME_BLOCK / MODEL_RATE_HZ
-        self.time = Chain(seed, 0, tuple(edge * period_s for edge in carriers.time_edges_hz), TIME_BLOCK)
-        self.steps_m = np.array([carriers.arc_step_m(octave) for octave in range(carriers.arc_octaves)])
-        edges = carriers.arc_edges()
-        self.octaves: list[Chain] = []
-        for octave, step in enumerate(self.steps_m):
-            first = octave * ARC_PER_OCTAVE
-            inside = tuple((edges[first : first + ARC_PER_OCTAVE + 1] * (step * ARC_BLOCK)).tolist())
-            self.octaves.append(Chain(seed, ARC_STREAM + octave, inside, ARC_BLOCK))
-        self._lowest = edges[:-1:ARC_PER_OCTAVE].tolist()
-        self._chains = (self.time, *self.octaves)
-        for chain in self._chains:
-            chain.take(_about_zero(*chain.key, chain.edges, chain.size))
-
-    @property
-    def kept(self) -> int:
-        """Blocks in memory, of all chains."""
-        return sum(chain.kept for chain in self._chains)
-
-    @property
-    def at_once(self) -> int:
-        """Blocks that nobody had foreseen."""
-        return sum(chain.at_once for chain in self._chains)
-
-    def prepare(self, sample: int, place: float, speed: float) -> None:
-        """A step's share of the work ahead, as even as can be: whole pieces, first for the chain that is furthest
-        behind. place: s in metres; speed: ds/dt in m/s, signed."""
-        self.time.foresee(sample, SAMPLES_PER_STATE, turns=False)
-        travel = speed * SAMPLES_PER_STATE / MODEL_RATE_HZ
-        for chain, step, lowest in zip(self.octaves, self.steps_m.tolist(), self._lowest, strict=True):
-            if lowest * abs(speed) < AUDIBLE_SOON * BAND_END_HZ:
-                chain.foresee(place / step, travel / step)
-        for _ in range(int(sum(chain.owed for chain in self._chains))):
-            max(self._chains, key=lambda chain: chain.owed).work()

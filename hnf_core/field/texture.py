@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ..kernel import texture as kernel_texture
 from ..kernel.library import kernel
-from ..kernel.texture import Between, Octave
+from ..kernel.texture import Between, Octave, Piece
 from .carriers import ARC_PER_OCTAVE, MODEL_RATE_HZ, Carriers
 from .hops import (
     ARC_CELLS,
@@ -171,7 +171,7 @@ def _in_arc(near: Knots, carriers: Carriers, seed: int, octaves: list[int], plac
         return _in_arc_compiled(compiled, near, carriers, seed, octaves, place, when)
     at = place / (CELL * np.array([[carriers.arc_step_m(octave)] for octave in octaves]))
     cell = np.floor(at).astype(np.int64)
-    weights = [weight.astype(np.complex64) for weight in _reading((at - cell).astype(np.float32))]
+    weights = [weight.astype(np.complex64) for weight in cell_weights((at - cell).astype(np.float32))]
     out = np.empty(at.shape, dtype=np.complex64)
     for rows, part in _parts(when.row):
         index, sums, behind = np.empty_like(cell[:, part]), [], 0
@@ -203,17 +203,18 @@ def _in_arc_compiled(
     def octave_of(octave: int) -> Octave:
         per_m = 1.0 / (CELL * carriers.arc_step_m(octave))
         hops = range((math.floor(least * per_m) - 1) // ARC_HOP, (math.floor(most * per_m) + 2) // ARC_HOP + 1)
-        kept = [arc_hop(carriers, seed, octave, hop) for hop in hops]
+        kept = [Piece.of(arc_hop(carriers, seed, octave, hop)) for hop in hops]
         return Octave(near.amplitude[:, _bands(carriers, octave)], kept, hops.start * ARC_HOP, per_m)
 
     return kernel_texture.in_arc(
-        compiled, map(octave_of, octaves), MIDDLE / ARC_CELLS, np.ascontiguousarray(place), _powers(),
+        compiled, map(octave_of, octaves), MIDDLE / ARC_CELLS, np.ascontiguousarray(place), powers(),
         Between.of(when.row, when.share),
     )  # fmt: skip
 
 
 @lru_cache(maxsize=1)
-def _powers() -> Float32:
+def powers() -> Float32:
+    """(4, 4) per cell, the powers of t in cell_weights."""
     return np.array(_cubic(), dtype=np.float32)
 
 
@@ -258,7 +259,7 @@ def _half_band() -> Float32:
     return np.asarray(np.concatenate([half[::-1], half]).astype(np.float32))
 
 
-def _reading(t: Float32) -> list[Float32]:
+def cell_weights(t: Float32) -> list[Float32]:
     """Weights of cells −1, 0, 1, 2 at t in 0 … 1."""
     return [((d * t + c) * t + b) * t + a for a, b, c, d in _cubic()]
 

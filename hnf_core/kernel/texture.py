@@ -6,6 +6,7 @@ import ctypes
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,13 +48,23 @@ def faded(kernel: ctypes.CDLL, amplitude: Float32, waves: Float32, between: Betw
     return out
 
 
-@dataclass(frozen=True)
-class Octave:
-    """One octave's carriers without their middle. amplitude: (m, B) at knots. hops: neighbouring pieces (B, cells) as
-    field/hops.py keeps them. first: cell with which they begin. per_m: cells in a metre."""
+class Piece(NamedTuple):
+    """waves: (B, cells), contiguous. address: of its numbers, worked out once."""
+
+    waves: NDArray[np.complex64]
+    address: int
+
+    @staticmethod
+    def of(waves: NDArray[np.complex64]) -> Piece:
+        return Piece(waves, address(waves, np.complex64))
+
+
+class Octave(NamedTuple):
+    """One octave's carriers without their middle. amplitude: (m, B) at knots. pieces: neighbours of one size. first:
+    cell with which they begin. per_m: cells in a metre."""
 
     amplitude: Float32
-    hops: Sequence[NDArray[np.complex64]]
+    pieces: Sequence[Piece]
     first: int
     per_m: float
 
@@ -74,16 +85,18 @@ def in_arc(
         address(place, np.float64), address(cubic, np.float32), address(between.row, np.int64),
         address(between.share, np.float32), len(place),
     )  # fmt: skip
-    for octave in octaves:
-        between.check(len(place), len(octave.amplitude))
-        bands, length = octave.hops[0].shape
-        first, last = math.floor(least * octave.per_m) - 1, math.floor(most * octave.per_m) + 2
-        if first < octave.first or last >= octave.first + length * len(octave.hops):
-            raise ValueError(f"cells {first} to {last} are read, of {len(octave.hops)} hops from {octave.first} on")
-        hops = (ctypes.c_void_p * len(octave.hops))(*(address(hop, np.complex64) for hop in octave.hops))
-        scratch = np.empty(4 * (last + 1 - first), dtype=np.float32)
+    scratch, to = np.empty(0, dtype=np.float32), address(out, np.float32)
+    for amplitude, pieces, begin, per_m in octaves:
+        between.check(len(place), len(amplitude))
+        bands, length = pieces[0].waves.shape
+        first, last = math.floor(least * per_m) - 1, math.floor(most * per_m) + 2
+        if first < begin or last >= begin + length * len(pieces):
+            raise ValueError(f"cells {first} to {last} are read, of {len(pieces)} pieces from {begin} on")
+        if len(scratch) < 4 * (last + 1 - first):
+            scratch = np.empty(4 * (last + 1 - first), dtype=np.float32)
+            room = address(scratch, np.float32)
         kernel.hnf_read_arc(
-            *rows(octave.amplitude), bands, hops, length, octave.first, octave.per_m, turns, *sampled,
-            address(scratch, np.float32), address(out, np.float32),
+            *rows(amplitude), bands, (ctypes.c_void_p * len(pieces))(*(piece.address for piece in pieces)), length,
+            begin, per_m, turns, *sampled, room, to,
         )  # fmt: skip
     return out

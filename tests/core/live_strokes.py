@@ -7,12 +7,16 @@ from itertools import pairwise
 import numpy as np
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
+from hnf_core.field import texture
+from hnf_core.field.knots import Knots
 from hnf_core.field.live import LiveSynthesis
 from hnf_core.field.live_state import LiveState
-from hnf_core.field.plain import plain_texture
+from hnf_core.field.modulation import time_term
+from hnf_core.field.plain import plain_texture, position
 from hnf_core.field.stroke import StrokeInput, uniform_stroke
 from hnf_core.field.synthesis import contact_term, prepare
 from hnf_core.field.weights import load_field
+from hnf_core.kernel.library import plainly
 from hnf_core.material.library import find
 
 BLOCK = 50
@@ -39,10 +43,24 @@ def on(action: Action, material: str) -> StrokeInput:
 
 
 def offline(stroke: StrokeInput) -> np.ndarray:
-    """The whole stroke, its carriers plainly in float64."""
+    """The whole stroke at the model's rate: carriers in time in float64, those in arc length as they are kept for any
+    render (field/hops.py), read by numpy."""
     prepared = prepare(load_field(), stroke, seed=SEED)
-    texture = plain_texture(prepared.amplitude, prepared.carriers, SEED, prepared.action, 0, prepared.count)
-    return prepared.audible * (texture + contact_term(prepared, 0, prepared.count))
+    carriers, count, amplitude = prepared.carriers, prepared.count, prepared.amplitude[:, 0]
+    out = time_term(amplitude[:, carriers.time_slice], carriers, SEED, 0, count)
+    near = Knots(BLOCK * np.arange(len(amplitude)), amplitude).around(0, count)
+    when = texture._When(0, *near.between(np.arange(count)))
+    with plainly():
+        place, octaves = position(prepared.action, 0, count), list(range(carriers.arc_octaves))
+        out += texture._in_arc(near, carriers, SEED, octaves, place, when)
+    return prepared.audible * (out + contact_term(prepared, 0, count))
+
+
+def as_the_model_says(stroke: StrokeInput) -> np.ndarray:
+    """The same, every carrier plainly in float64."""
+    prepared = prepare(load_field(), stroke, seed=SEED)
+    out = plain_texture(prepared.amplitude, prepared.carriers, SEED, prepared.action, 0, prepared.count)
+    return prepared.audible * (out + contact_term(prepared, 0, prepared.count))
 
 
 def states(stroke: StrokeInput) -> list[LiveState]:

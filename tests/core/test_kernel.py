@@ -31,7 +31,7 @@ from hnf_core.kernel.contact import FEATURES, TOUCH, Tables, add_rows
 from hnf_core.kernel.contact import linear_contact as compiled_contact
 from hnf_core.kernel.library import kernel, plainly, why_not
 from hnf_core.kernel.noise import bins
-from hnf_core.kernel.texture import Between, Octave, faded, in_arc
+from hnf_core.kernel.texture import Between, Octave, Piece, faded, in_arc
 from hnf_core.material.library import find
 
 CARRIERS = Carriers()
@@ -168,7 +168,7 @@ class Refuses:
 
 def test_what_it_would_misread_never_reaches_it():
     none, rows, between = Refuses(), np.ones((3, 2), np.float32), Between(np.zeros(8, int), np.zeros(8, np.float32))
-    waves, hops = np.ones((2, 8), np.float32), [np.ones((2, 64), np.complex64)]
+    waves, pieces = np.ones((2, 8), np.float32), [Piece.of(np.ones((2, 64), np.complex64))]
     with pytest.raises(TypeError, match="float32"):
         faded(none, rows.astype(float), waves, between)
     with pytest.raises(TypeError, match="contiguous"):
@@ -179,7 +179,7 @@ def test_what_it_would_misread_never_reaches_it():
     cubic = np.ones((4, 4), np.float32)
     for place in (np.nan, np.inf, 0.0, 0.062, 1e6):
         with pytest.raises(ValueError, match=r"places|cells"):
-            in_arc(none, [Octave(rows, hops, 0, 1000.0)], 0.1, np.full(8, place), cubic, between)
+            in_arc(none, [Octave(rows, pieces, 0, 1000.0)], 0.1, np.full(8, place), cubic, between)
     words = np.zeros(4, np.uint64)
     with pytest.raises(TypeError, match="uint64"):
         bins(none, words.astype(np.int64), words, np.ones(4))

@@ -6,11 +6,24 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from live_strokes import BLOCK, SEED, error, hand, live, live_of, offline, on, states, third_octaves_db
+from live_strokes import (
+    BLOCK,
+    SEED,
+    as_the_model_says,
+    error,
+    hand,
+    live,
+    live_of,
+    offline,
+    on,
+    states,
+    third_octaves_db,
+)
 
 from hnf_core.errors import StrokeError, UsageError
 from hnf_core.field.field import Field, FieldConfig, initial_parameters
 from hnf_core.field.live import DELAY_STATES, LiveSynthesis
+from hnf_core.field.live_arc import KEPT_HOPS
 from hnf_core.field.live_noise import KEPT_BLOCKS
 from hnf_core.field.live_state import LiveState
 from hnf_core.field.stroke import LIMITS, StrokeInput
@@ -32,6 +45,13 @@ def test_a_steady_slide_sounds_as_offline(material, speed, force):
     stroke = on(hand(speed, force, seconds=1.5), material)
     assert DELAY_STATES == 1
     assert error(live(stroke)[TOUCHED:], offline(stroke)[TOUCHED:]) < STEADY
+
+
+@pytest.mark.parametrize("material", ["oak-wood", "denim"])
+def test_that_is_the_model_within_what_its_kept_carriers_cost(material):
+    """57 dB at most, as in any render; see test_texture.py."""
+    stroke = on(hand(0.1, 1.0, seconds=1.0), material)
+    assert error(live(stroke)[TOUCHED:], as_the_model_says(stroke)[TOUCHED:]) < 10 ** (-57 / 20)
 
 
 def test_what_is_exported_is_that_slide_too():
@@ -130,8 +150,7 @@ def test_memory_does_not_grow_and_noise_is_there_in_time():
         place += 0.003 + 0.002 * np.sin(step / 40.0)
         synthesis.step(LiveState((1.0, 0.0), 0.6, place, 1.0, True))
         kept.append(synthesis.kept_blocks)
-    chains = 1 + load_field().config.carriers.arc_octaves
-    assert max(kept) <= chains * (KEPT_BLOCKS + 1)
+    assert max(kept) <= KEPT_BLOCKS + 1 + load_field().config.carriers.arc_octaves * KEPT_HOPS
     assert synthesis.made_at_once == 0  # and no step had to wait for a block
 
 

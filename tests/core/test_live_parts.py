@@ -1,5 +1,7 @@
 """Each quick part of live synthesis beside its plain reference."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,12 +12,14 @@ from hnf_core.field.carriers import Carriers
 from hnf_core.field.contact_filter import TAIL
 from hnf_core.field.field import Field, FieldConfig, evaluate, initial_parameters
 from hnf_core.field.linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition, linear_contact, time_band_power
+from hnf_core.field.live_arc import KEPT_HOPS, LiveArc
 from hnf_core.field.live_contact import LivePressing, causal_response
 from hnf_core.field.live_emission import LiveEmission
 from hnf_core.field.live_linear import LiveLinear, TimeShare
-from hnf_core.field.live_noise import HASTE_STEPS, KEPT_BLOCKS, LiveNoise
+from hnf_core.field.live_noise import KEPT_BLOCKS, LiveNoise
 from hnf_core.field.synthesis import contact_term, prepare
 from hnf_core.field.weights import load_field
+from hnf_core.kernel.library import plainly
 from hnf_core.material.contact import force_response
 from hnf_core.material.library import load_library
 from hnf_core.material.mechanics import UNKNOWN
@@ -97,45 +101,66 @@ def test_the_field_of_one_state(name, material, angle, speed, force, probe):
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.integers(0, 8), st.integers(-20_000, 20_000), st.integers(1, 900))
-def test_noise_is_that_of_the_carriers(chain, first, count):
-    carriers = Carriers()
-    noise = NOISE.time if chain == 8 else NOISE.octaves[chain]
-    if chain == 8:
-        wanted = carriers.time_samples(SEED, first, count)
-    else:
-        wanted = carriers.arc_samples(SEED, chain, first, count)
-    weights = np.linspace(-1.0, 1.0, 2 * noise.bands, dtype=np.float32).reshape(2, -1)
+@given(st.integers(-20_000, 20_000), st.integers(1, 900))
+def test_noise_is_that_of_the_carriers(first, count):
+    wanted = CARRIERS.time_samples(SEED, first, count)
+    weights = np.linspace(-1.0, 1.0, 2 * NOISE.bands, dtype=np.float32).reshape(2, -1)
     scale = float(np.sqrt(np.square(weights).sum(axis=1).max()))
-    assert np.abs(noise.mixed(weights, first, count) - weights @ wanted).max() < 2e-6 * scale
+    assert np.abs(NOISE.mixed(weights, first, count) - weights @ wanted).max() < 2e-6 * scale
+    assert NOISE.kept <= KEPT_BLOCKS + 1
+
+
+CARRIERS = Carriers()
+NOISE = LiveNoise(CARRIERS, SEED)
+
+
+@pytest.mark.parametrize("alone", [False, True])
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 7), st.integers(-20_000, 20_000), st.sampled_from([-9, -1, 0, 1, 4, 11]))
+def test_octaves_are_read_as_the_carriers_are(alone, octave, first, stride):
+    """At the carriers' own samples, over the borders of hops, forwards and backwards, compiled and in numpy."""
+    at = first + stride * np.arange(BLOCK)
+    rows = np.arange(24)
+    waves = CARRIERS.arc_samples(SEED, octave, int(at.min()), int(np.ptp(at)) + 1)[:, at - at.min()]
+    pair = np.zeros((2, 8, 24), dtype=np.float32)
+    pair[:, octave] = 1.0 + np.sin(rows), 1.5 + np.cos(rows)
+    share = np.arange(BLOCK) / BLOCK
+    amplitude = pair[0, octave][:, None] * (1.0 - share) + pair[1, octave][:, None] * share
+    wanted = (amplitude * waves).sum(axis=0)
+    with plainly() if alone else nullcontext():
+        found = ARC.read(pair, np.array([octave]), at * CARRIERS.arc_step_m(octave))
+    assert np.sqrt(np.mean(np.square(found - wanted))) < 10 ** (-57 / 20) * np.sqrt(
+        np.square(pair[:, octave]).sum() / 2
+    )
+
+
+ARC = LiveArc(CARRIERS, SEED)
+
+
+@pytest.mark.parametrize("speed", [0.02, -0.2, 0.7, 4.0])
+def test_noise_lies_ready_where_the_hand_goes(speed):
+    noise, arc, place = LiveNoise(CARRIERS, 1), LiveArc(CARRIERS, 1), 0.0
+    pair, share = np.ones((2, 8, 24), np.float32), np.arange(BLOCK) / BLOCK
+    heard = np.flatnonzero(CARRIERS.arc_start_per_m * 2.0 ** np.arange(8) * abs(speed) < 4800.0)
+    for sample in range(0, 400 * BLOCK, BLOCK):
+        noise.mixed(np.zeros((1, noise.bands), np.float32), sample, BLOCK)
+        arc.read(pair, heard, place + speed * 0.005 * share)
+        place += speed * 0.005
+        noise.prepare(sample + BLOCK)
+        arc.prepare(place, speed)
+    assert (noise.at_once, arc.at_once) == (0, 0)
+    assert arc.kept <= 8 * KEPT_HOPS
     assert noise.kept <= KEPT_BLOCKS + 1
 
 
-NOISE = LiveNoise(Carriers(), SEED)
-
-
-@pytest.mark.parametrize("speed", [0.02, -0.2, 0.7])
-def test_noise_lies_ready_where_the_hand_goes(speed):
-    noise, place = LiveNoise(Carriers(), 1), 0.0
-    heard = [octave for octave, step in enumerate(noise.steps_m) if abs(speed) / (32.0 * step) < 4800.0]
-    for sample in range(0, 400 * BLOCK, BLOCK):
-        noise.time.mixed(np.zeros((1, noise.time.bands), np.float32), sample, BLOCK)
-        for octave in heard:
-            chain, step = noise.octaves[octave], noise.steps_m[octave]
-            ends = sorted((place / step, (place + speed * 0.005) / step))
-            chain.mixed(np.zeros((1, chain.bands), np.float32), int(ends[0]) - 1, int(ends[1] - ends[0]) + 4)
-        place += speed * 0.005
-        noise.prepare(sample + BLOCK, place, speed)
-    assert noise.at_once == 0
-
-
 def test_noise_is_made_soon_where_a_hand_jumped():
-    noise = LiveNoise(Carriers(), 1)
-    for _ in range(4 * HASTE_STEPS):
-        noise.prepare(0, 5.0, 0.1)
-    for chain, step in zip(noise.octaves, noise.steps_m, strict=True):
-        chain.mixed(np.zeros((1, chain.bands), np.float32), int(5.0 / step), 4)
-    assert noise.at_once == 0
+    arc = LiveArc(CARRIERS, 1)
+    for _ in range(2 * CARRIERS.arc_octaves):  # 5 m lies between two hops of some octaves
+        arc.prepare(5.0, 0.1)
+    arc.read(np.ones((2, 8, 24), np.float32), np.arange(8), np.full(BLOCK, 5.0))
+    assert arc.at_once == 0
+    arc.read(np.ones((2, 8, 24), np.float32), np.arange(8), np.full(BLOCK, -5.0))
+    assert arc.at_once >= 8
 
 
 @pytest.mark.parametrize("material", ["oak-wood", "eva-foam", "slate"])

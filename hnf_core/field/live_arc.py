@@ -1,0 +1,119 @@
+"""The carriers in arc length under a live hand: the hops of hops.arc_hop where it is and where it goes next, and what
+they say of the places between two states.
+
+No step waits for noise: a hop is made in a fraction of a step, one in each, before the hand is there. A place that
+nobody could foresee (a jump) is made at once.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..kernel import texture as kernel_texture
+from ..kernel.library import kernel
+from ..kernel.texture import Between, Octave, Piece
+from .carriers import MODEL_RATE_HZ, Carriers
+from .hops import ARC_CELLS, ARC_HOP, CELL, MIDDLE, arc_hop
+from .linear_contact import BAND_END_HZ
+from .texture import cell_weights, powers
+from .timeline import SAMPLES_PER_STATE
+
+Float = NDArray[np.float64]
+Single = NDArray[np.float32]
+
+KEPT_HOPS = 4
+"""Of an octave: where the hand is, the next on either side, and what a hand that turns about a border has left."""
+SOON = 2.0
+"""Steps: what is needed by then is made whatever else was."""
+AUDIBLE_SOON = 1.5
+"""Octaves up to this factor above the band are made too: the hand may slow down."""
+TURNS_A_CELL = MIDDLE / ARC_CELLS
+_SHARE = (np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE).astype(np.float32)
+_BETWEEN = Between.of(np.zeros(SAMPLES_PER_STATE, dtype=np.intp), _SHARE)
+_CELLS = np.arange(4)[:, None, None]
+
+
+class LiveArc:
+    """All octaves of a seed. Made ready for a start at s = 0. at_once: hops that a step had to wait for."""
+
+    def __init__(self, carriers: Carriers, seed: int) -> None:
+        self._carriers, self._seed, self.at_once = carriers, seed, 0
+        octaves = range(carriers.arc_octaves)
+        self._per_m = [1.0 / (CELL * carriers.arc_step_m(octave)) for octave in octaves]
+        self._lowest = [carriers.arc_start_per_m * 2.0**octave for octave in octaves]
+        self._kept: list[dict[int, Piece]] = [{} for _ in octaves]
+        for octave in octaves:
+            for hop in (-1, 0):
+                self._make(octave, hop)
+
+    @property
+    def kept(self) -> int:
+        """Hops in memory."""
+        return sum(map(len, self._kept))
+
+    def prepare(self, place: float, speed: float) -> None:
+        """What the hand at s = place [m] and ds/dt = speed [m/s] is nearest to asking for: one hop, or all that it
+        asks for SOON."""
+        missing: list[tuple[float, int, int]] = []
+        for octave, (per_m, lowest) in enumerate(zip(self._per_m, self._lowest, strict=True)):
+            if lowest * abs(speed) < AUDIBLE_SOON * BAND_END_HZ:
+                cell, pace = place * per_m, speed * per_m * SAMPLES_PER_STATE / MODEL_RATE_HZ
+                first, last = math.floor((cell - 1.0) / ARC_HOP), math.floor((cell + 3.0) / ARC_HOP)
+                ahead, behind, room = last + 1, first - 1, (last + 1) * ARC_HOP - 3.0 - cell
+                if pace < 0.0:
+                    ahead, behind, room = behind, ahead, cell - 1.0 - first * ARC_HOP
+                steps = room / max(abs(pace), 1e-9)
+                wanted = ((-1.0, first), (-1.0, last), (steps, ahead), (math.inf, behind))
+                missing += [(when, octave, hop) for when, hop in wanted if hop not in self._kept[octave]][:1]
+        for number, (steps, octave, hop) in enumerate(sorted(missing)):
+            if number == 0 or 0.0 <= steps < SOON:
+                self._make(octave, hop)
+
+    def read(self, pair: Single, octaves: NDArray[np.intp], place: Float) -> Float:
+        """Σ_k A_k c_k(s) (SAMPLES_PER_STATE,) of octaves at place [m]. pair: (2, every octave, 24) amplitudes at the
+        state before and at this one, linear between."""
+        least, most = float(place.min()), float(place.max())
+        read = [self._octave(pair, octave, least, most) for octave in octaves.tolist()]
+        compiled = kernel()
+        if compiled is not None:
+            return kernel_texture.in_arc(compiled, read, TURNS_A_CELL, place, powers(), _BETWEEN).astype(np.float64)
+        return _read_plainly(read, place)
+
+    def _octave(self, pair: Single, octave: int, least: float, most: float) -> Octave:
+        per_m, kept = self._per_m[octave], self._kept[octave]
+        first, last = (math.floor(least * per_m) - 1) // ARC_HOP, (math.floor(most * per_m) + 2) // ARC_HOP
+        for hop in range(first, last + 1):
+            if hop not in kept:
+                self._make(octave, hop)
+                self.at_once += 1
+        return Octave(pair[:, octave], [kept[hop] for hop in range(first, last + 1)], first * ARC_HOP, per_m)
+
+    def _make(self, octave: int, hop: int) -> None:
+        kept = self._kept[octave]
+        while len(kept) >= KEPT_HOPS:
+            del kept[max(kept, key=lambda other: abs(other - hop))]
+        kept[hop] = Piece.of(arc_hop(self._carriers, self._seed, octave, hop))
+
+
+def _read_plainly(octaves: list[Octave], place: Float) -> Float:
+    """In numpy, all octaves at once."""
+    at = place * np.array([[octave.per_m] for octave in octaves])
+    floor = np.floor(at)
+    cell, low, high = floor.astype(np.int64), floor.min(axis=1).astype(int) - 1, floor.max(axis=1).astype(int) + 3
+    offset = np.concatenate([[0], np.cumsum(high - low)])
+    summed = np.empty((2, offset[-1]), dtype=np.complex64)
+    for octave, first, last, start in zip(octaves, low.tolist(), high.tolist(), offset.tolist(), strict=False):
+        waves, inside = octave.pieces[0].waves, slice(first - octave.first, last - octave.first)
+        if inside.stop > ARC_HOP:
+            waves = np.concatenate([piece.waves for piece in octave.pieces], axis=1)
+        part = octave.amplitude @ waves[:, inside].copy().view(np.float32)
+        summed[:, start : start + last - first] = part.view(np.complex64)
+    taps = _CELLS + (offset[:-1, None] + cell - 1 - low[:, None])
+    here, after = (summed.take(taps, axis=1) * np.stack(cell_weights((at - floor).astype(np.float32)))).sum(axis=1)
+    turn = at * TURNS_A_CELL
+    angle = (2.0 * np.pi * (turn - np.floor(turn))).astype(np.float32)
+    spun = here + _SHARE * (after - here)
+    return np.asarray((spun.real * np.cos(angle) - spun.imag * np.sin(angle)).sum(axis=0), dtype=np.float64)
