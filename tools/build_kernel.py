@@ -24,6 +24,7 @@ from tempfile import TemporaryDirectory
 ROOT = Path(__file__).resolve().parent.parent
 SOURCE = ROOT / "hnf_core" / "kernel" / "source"
 BUILT = ROOT / "build" / "kernel"
+CACHE = {"ZIG_GLOBAL_CACHE_DIR": str(BUILT / "cache"), "ZIG_LOCAL_CACHE_DIR": str(BUILT / "cache")}
 COMPILE_S, INSTALL_S = 300, 120
 OPTIONS = (
     "-O3", "-std=c11", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-fno-sanitize=all",
@@ -103,11 +104,10 @@ def compiled(goal: Platform, library: str, processor: str, folder: Path) -> Path
     sources = [str(path) for path in sorted(SOURCE.glob("*.c"))]
     command = [sys.executable, "-m", "ziglang", "cc", "-target", goal.target, f"-mcpu={processor}", *OPTIONS]
     command += [] if goal.suffix == ".dll" else ["-fPIC", "-lm"]
-    cache = {"ZIG_GLOBAL_CACHE_DIR": str(BUILT / "cache"), "ZIG_LOCAL_CACHE_DIR": str(BUILT / "cache")}
     try:
         run = subprocess.run(
             [*command, *sources, "-o", str(out)], capture_output=True, text=True, timeout=COMPILE_S,
-            stdin=subprocess.DEVNULL, env=os.environ | cache,
+            stdin=subprocess.DEVNULL, env=os.environ | CACHE,
         )  # fmt: skip
     except (OSError, subprocess.TimeoutExpired) as error:
         raise KernelError(f"the compiler did not run: {error}") from error

@@ -7,9 +7,10 @@
 
 #define TWO_PI 6.283185307179586476925
 
+/* NaN becomes low: what follows may be an index. */
 static double clipped(double x, double low, double high)
 {
-    return x < low ? low : x > high ? high : x;
+    return x > low ? (x < high ? x : high) : low;
 }
 
 static double smoothstep(double x)
@@ -141,7 +142,7 @@ void hnf_linear_contact(const hnf_tables *t, const double *tokens, int64_t token
             tip(t->kappa[place], hand->radius, &passed, &leaned);
             double met = own * now.cosine[line], wave = TWO_PI * t->kappa[place];
             double where = t->per_octave * log2((met > 1e-9 ? met : 1e-9) / t->kappa[0]), whole = floor(where);
-            int64_t low = (int64_t)whole;
+            int64_t low = (int64_t)clipped(whole, -1e9, 1e9);
             out->low[state * lines + line] = low;
             for (int tap = 0; tap < 2; tap++) {
                 double height = now.lines[line] * (tap ? where - whole : 1.0 - (where - whole));

@@ -1,0 +1,136 @@
+/* Calls every function of a built kernel on fixed inputs and prints two sums of what each gives, so that builds for
+ * different systems can be compared: check LIBRARY */
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "hnf_kernel.h"
+
+#ifdef _WIN32
+#include <windows.h>
+static void *opened(const char *path) { return (void *)LoadLibraryA(path); }
+static void *found(void *library, const char *name) { return (void *)GetProcAddress((HMODULE)library, name); }
+#else
+#include <dlfcn.h>
+static void *opened(const char *path) { return dlopen(path, RTLD_NOW); }
+static void *found(void *library, const char *name) { return dlsym(library, name); }
+#endif
+
+#define FIND(name) __typeof__(name) *name##_ = (__typeof__(name) *)found(library, #name); \
+    if (!name##_) { printf("no %s\n", #name); return 1; }
+
+enum { COUNT = 300, BANDS = 9, CELLS = 64, LENGTH = 512, WAVES = 6, WIDEST = 20, ARC = 192, TOKEN = 7, STATES = 7,
+       ANGLES = 12, FEATURES = 7 };
+
+static uint64_t state = 88172645463325252u;
+
+static uint64_t word(void) /* xorshift64 (G. Marsaglia 2003) */
+{
+    state ^= state << 13;
+    state ^= state >> 7;
+    state ^= state << 17;
+    return state;
+}
+
+static double uniform(void) { return (double)(word() >> 11) * 0x1p-53; }
+
+static void fill(float *out, int count) { for (int i = 0; i < count; i++) out[i] = (float)(uniform() - 0.5); }
+
+static void say(const char *name, const double *values, int count, int digits)
+{
+    double weighted = 0.0, size = 0.0;
+    for (int i = 0; i < count; i++) {
+        weighted += values[i] * (1 + i % 7);
+        size += fabs(values[i]);
+    }
+    printf("%s %.*e %.*e\n", name, digits, weighted, digits, size);
+}
+
+static void say_single(const char *name, const float *values, int count)
+{
+    static double wide[2 * WAVES * LENGTH];
+    for (int i = 0; i < count; i++)
+        wide[i] = values[i];
+    say(name, wide, count, 5);
+}
+
+static float amplitude[5 * BANDS], waves[BANDS * COUNT], share[COUNT], out[COUNT], cubic[16], scratch[8 * CELLS];
+static float slow[2 * WIDEST * LENGTH], cosine[WAVES * LENGTH], sine[WAVES * LENGTH], real[WAVES * LENGTH];
+static hnf_complex pieces[2][BANDS * CELLS], turned[WAVES * LENGTH];
+static double place[COUNT], level[COUNT], drawn[2 * COUNT], bins[2 * WAVES * WIDEST], kappa[ARC], between[ARC];
+static double wavelength[TOKEN], turn[4 * ANGLES], tokens[STATES * TOKEN * FEATURES], table[10 * ARC], rows[STATES * ARC];
+static double room[5 * ARC + (ANGLES + 5) * TOKEN], power[STATES * ARC], noise[STATES * ARC], normal[STATES];
+static double lines[4 * STATES * TOKEN], part[STATES], factor[STATES];
+static int64_t row[COUNT], below[ARC], nearest[ARC], shift[ANGLES], low[2 * STATES * TOKEN], at[STATES];
+static uint64_t radius[COUNT], angle[COUNT];
+static hnf_touch touch[STATES];
+
+int main(int given, char **words)
+{
+    void *library = given > 1 ? opened(words[1]) : NULL;
+    if (!library) {
+        printf("the library does not load\n");
+        return 1;
+    }
+    FIND(hnf_abi) FIND(hnf_has_wide_vectors) FIND(hnf_faded) FIND(hnf_read_arc) FIND(hnf_linear_contact)
+    FIND(hnf_add_rows) FIND(hnf_bins) FIND(hnf_real_waves) FIND(hnf_complex_waves)
+    printf("version %d, wide vectors %d\n", (int)hnf_abi_(), (int)hnf_has_wide_vectors_());
+
+    fill(amplitude, 5 * BANDS), fill(waves, BANDS * COUNT), fill(cubic, 16);
+    for (int i = 0; i < COUNT; i++) {
+        row[i] = i * 4 / COUNT;
+        share[i] = (float)uniform();
+        place[i] = (70.0 + 40.0 * sin(0.02 * i)) / 1000.0;
+        radius[i] = word(), angle[i] = word(), level[i] = uniform();
+    }
+    hnf_faded_(amplitude, BANDS, BANDS, waves, COUNT, row, share, out);
+    say_single("faded", out, COUNT);
+    fill((float *)pieces, 4 * BANDS * CELLS);
+    memset(out, 0, sizeof out);
+    const hnf_complex *hops[2] = {pieces[0], pieces[1]};
+    hnf_read_arc_(amplitude, BANDS, BANDS, hops, CELLS, 0, 1000.0, 0.09375, place, cubic, row, share, COUNT, scratch, out);
+    say_single("read_arc", out, COUNT);
+
+    hnf_bins_(radius, angle, level, COUNT, drawn);
+    say("bins", drawn, 2 * COUNT, 9);
+    fill(slow, 2 * WIDEST * LENGTH), fill(cosine, WAVES * LENGTH), fill(sine, WAVES * LENGTH);
+    int64_t starts[WAVES + 1], which[3] = {0, 2, 5};
+    for (int i = 0; i <= WAVES; i++)
+        starts[i] = 30 + i * WIDEST - (i > 2);
+    for (int i = 0; i < 2 * WAVES * WIDEST; i++)
+        bins[i] = uniform() - 0.5;
+    hnf_real_waves_(bins, starts, which, 3, WIDEST, LENGTH, slow, cosine, sine, real);
+    say_single("real_waves", real, WAVES * LENGTH);
+    hnf_complex_waves_(bins, starts, WAVES, WIDEST, LENGTH, slow, cosine, sine, turned);
+    say_single("complex_waves", (float *)turned, 2 * WAVES * LENGTH);
+
+    for (int k = 0; k < ARC; k++) {
+        kappa[k] = 50.0 * exp2(k / 24.0);
+        below[k] = k / 32, between[k] = k % 32 / 32.0, nearest[k] = k / 28;
+    }
+    for (int a = 0; a < ANGLES; a++) {
+        double delta = (a + 0.5) * 0.1308997;
+        shift[a] = a * a;
+        turn[4 * a] = cos(2 * delta), turn[4 * a + 1] = sin(2 * delta);
+        turn[4 * a + 2] = cos(4 * delta), turn[4 * a + 3] = sin(4 * delta);
+    }
+    for (int b = 0; b < TOKEN; b++)
+        wavelength[b] = 0.01 * exp2(-b);
+    for (int i = 0; i < STATES * TOKEN * FEATURES; i++)
+        tokens[i] = i % FEATURES == 0 ? -5.0 + uniform() : uniform() - 0.3;
+    for (int i = 0; i < STATES; i++)
+        touch[i] = (hnf_touch){6.0 * uniform(), 0.02 + 0.2 * uniform(), 1e-4 * uniform(), 5e4, 160.0, 0.02, 900.0, 1.1, 2.0};
+    hnf_tables tables = {ARC, TOKEN, FEATURES, ANGLES, 0, 1, 2, 3, 4, 5, 6, kappa, below, between, nearest, wavelength,
+                         turn, shift, 24.0, 20.0, 0.1, 1e-9, 25e3, 16e3};
+    hnf_contact contact = {power, noise, normal, lines, low};
+    hnf_linear_contact_(&tables, tokens, TOKEN * FEATURES, touch, STATES, room, &contact);
+    say("power", power, STATES * ARC, 9), say("noise", noise, STATES * ARC, 9), say("normal", normal, STATES, 9);
+    say("lines", lines, 4 * STATES * TOKEN, 9);
+    for (int i = 0; i < 10 * ARC; i++)
+        table[i] = uniform();
+    for (int i = 0; i < STATES; i++)
+        at[i] = i, part[i] = uniform(), factor[i] = uniform();
+    hnf_add_rows_(table, ARC, at, part, factor, STATES, rows);
+    say("add_rows", rows, STATES * ARC, 9);
+    return 0;
+}
