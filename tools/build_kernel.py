@@ -137,11 +137,15 @@ def packed(path: Path, goal: Platform, libraries: list[Path], folder: Path) -> N
 
 def install(pythons: list[str]) -> None:
     """Into environments of this machine that do not have this build yet. Raises KernelError."""
-    digest, wheel = fingerprint(), build(here())
-    for python in pythons:
-        stamp = Path(python).parent.parent / "hnf-kernel.stamp"
-        if stamp.is_file() and stamp.read_text(encoding="utf-8") == digest:
-            continue
+    digest = fingerprint()
+    stamps = {python: Path(python).parent.parent / "hnf-compiled.stamp" for python in pythons}
+    old = [
+        (python, stamp)
+        for python, stamp in stamps.items()
+        if not (stamp.is_file() and stamp.read_text(encoding="utf-8") == digest)
+    ]
+    wheel = build(here()) if old else Path()
+    for python, stamp in old:
         options = ["--disable-pip-version-check", "--no-input", "install", "-q", "--no-deps", "--force-reinstall"]
         run = subprocess.run(
             [python, "-m", "pip", *options, str(wheel)], capture_output=True, text=True, timeout=INSTALL_S,

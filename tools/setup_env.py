@@ -158,12 +158,16 @@ def install_kernel(folders: list[str]) -> None:
     if not folders or not builder.exists():
         return
     pythons = [str(ROOT / folder / "bin" / "python") for folder in folders]
-    run = subprocess.run(
-        [str(builder), "tools/build_kernel.py", "--install", *pythons], cwd=ROOT, capture_output=True, text=True,
-        timeout=PIP_TIMEOUT_S, stdin=subprocess.DEVNULL,
-    )  # fmt: skip
-    if run.returncode != 0:
-        print(f"No compiled kernel, numpy does its work: {run.stderr.strip()}", file=sys.stderr)
+    try:
+        if not is_fresh(ROOT / ".venv", "kernel"):
+            pip(builder, "-r", str(REQUIREMENTS / "kernel.txt"))
+            stamp_path(ROOT / ".venv", "kernel").write_text(fingerprint("kernel"), encoding="utf-8")
+        subprocess.run(
+            [str(builder), "tools/build_kernel.py", "--install", *pythons], cwd=ROOT, check=True,
+            timeout=PIP_TIMEOUT_S, stdin=subprocess.DEVNULL,
+        )  # fmt: skip
+    except (OSError, subprocess.SubprocessError) as error:
+        print(f"There is no compiled kernel, and numpy does its work: {error}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -157,9 +157,9 @@ def _methods(field: Field, stroke: StrokeInput) -> list[Method]:
         for db in KEPT_DB
     ]
     alone = [
-        Method(f"{AS_IN_SCENES}, numpy alone", partial(numpy_alone, None), note="as on a Mac, without the kernel"),
+        Method(f"numpy: {AS_IN_SCENES}", partial(numpy_alone, None), note="as on a Mac, without the kernel"),
         *(
-            Method(f"within {db:g} dB, carriers kept, numpy alone", partial(numpy_alone, db), cold=False)
+            Method(f"numpy: {db:g} dB, kept", partial(numpy_alone, db), cold=False, note="without the kernel")
             for db in KEPT_DB
         ),
     ]

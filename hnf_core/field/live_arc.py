@@ -8,10 +8,12 @@ nobody could foresee (a jump) is made at once.
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..blas import one_blas_thread
 from ..kernel import texture as kernel_texture
 from ..kernel.library import kernel
 from ..kernel.texture import Between, Octave, Piece
@@ -95,7 +97,9 @@ class LiveArc:
         kept = self._kept[octave]
         while len(kept) >= KEPT_HOPS:
             del kept[max(kept, key=lambda other: abs(other - hop))]
-        kept[hop] = Piece.of(arc_hop(self._carriers, self._seed, octave, hop))
+        # Without the kernel it is a product of matrices, for which OpenBLAS would wake threads and wait for them.
+        with nullcontext() if kernel() is not None else one_blas_thread():
+            kept[hop] = Piece.of(arc_hop(self._carriers, self._seed, octave, hop))
 
 
 def _read_plainly(octaves: list[Octave], place: Float) -> Float:
