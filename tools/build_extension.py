@@ -105,8 +105,8 @@ def fetch_wheels(source: dict[str, Any], target: Target) -> list[Path]:
 
 
 def kernel_wheels(target: Target) -> list[Path]:
-    """The compiled kernel, for platforms on which it has run (Windows: under Wine); none, and a line that says so, where
-    its compiler is not installed. Raises BuildError where it does not compile."""
+    """The compiled kernel, for platforms on which it has run (Windows: under Wine); none, and a line that says so,
+    where its compiler is not installed. Raises BuildError where it does not compile."""
     if target.platform not in WITH_KERNEL:
         return []
     if importlib.util.find_spec("ziglang") is None:

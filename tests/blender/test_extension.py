@@ -195,17 +195,15 @@ def test_its_wheels_are_unpacked_into_the_profile_and_work(profile: Profile) -> 
         import _cffi_backend, pythonosc.udp_client, serial.tools.list_ports
         matplotlib.use('Agg')
         import matplotlib.pyplot as plt
-        figure = plt.figure()
-        figure.add_subplot().plot([0, 1], [0, 1])
-        figure.savefig('figure.png')
+        plt.figure().add_subplot().plot([0, 1], [0, 1])
+        plt.savefig('figure.png')
         saved = safetensors.numpy.save({'a': numpy.ones(3, numpy.float32)})
         assert safetensors.numpy.load(saved)['a'].tolist() == [1.0, 1.0, 1.0]
         OpenEXR.File({}, {'Y': numpy.ones((4, 4), numpy.float32)}).write('image.exr')
         scene = embreex.rtcore_scene.EmbreeScene()
         modules = [OpenEXR, embreex, matplotlib, safetensors, serial, pythonosc, _cffi_backend]
-        missing = importlib.import_module(sys.argv[1] + '.hnf_core.kernel.library').why_not()
-        assert missing == sys.argv[2], missing
-        modules += [] if missing else [sys.modules['hnf_kernel']]
+        assert importlib.import_module(sys.argv[1] + '.hnf_core.kernel.library').why_not() == sys.argv[2]
+        modules += [] if sys.argv[2] else [sys.modules['hnf_kernel']]
         print('RESULT', json.dumps({'files': [module.__file__ for module in modules]}))
     """
     run = profile.run(code, PACKAGE, "" if find_spec("ziglang") else "not installed")
