@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,15 +28,12 @@ def heads(parameters: Mapping[str, Float32], layers: int, x: Float32) -> tuple[F
     portions = np.array_split(x, 2 * -(-len(x) // (2 * PORTION))) if len(x) > PORTION else [x]
     multiplications = len(x) * sum(value.size for value in parameters.values() if value.ndim == 2)
     with one_blas_thread():
-        at_once = _threads().map if len(portions) > 1 and multiplications > WORTH_THREADS else map
-        found = list(at_once(lambda portion: _through(parameters, layers, portion), portions))
+        if len(portions) > 1 and multiplications > WORTH_THREADS:
+            with ThreadPoolExecutor(min(len(portions), os.cpu_count() or 1)) as pool:
+                found = list(pool.map(lambda portion: _through(parameters, layers, portion), portions))
+        else:
+            found = [_through(parameters, layers, portion) for portion in portions]
     return np.concatenate([alpha for alpha, _ in found]), np.concatenate([sigma for _, sigma in found])
-
-
-@lru_cache(maxsize=1)
-def _threads() -> ThreadPoolExecutor:
-    """Kept: to start threads takes as long as the products of a hundred states."""
-    return ThreadPoolExecutor(os.cpu_count() or 1, "hnf-products")
 
 
 def _through(parameters: Mapping[str, Float32], layers: int, hidden: Float32) -> tuple[Float32, Float32]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -99,7 +98,6 @@ def test_states_through_a_pool_have_the_bytes_of_portions_one_after_the_other(mo
 
     monkeypatch.setattr(network, "WORTH_THREADS", 0)
     monkeypatch.setattr(network.os, "cpu_count", lambda: 2)
-    monkeypatch.setattr(network, "_threads", lru_cache(network._threads.__wrapped__))
     with monkeypatch.context() as patch:
         patch.setattr(network, "_through", noted)
         pooled = network.heads(parameters, config.layers, x)
