@@ -135,7 +135,9 @@ def by_arc_length(curve: PiecewiseBezier) -> ArcCurve:
         first = _arc_lengths(curve, segment, start, middle)
         second = _arc_lengths(curve, segment, middle, end)
         fine = (np.abs(first + second - whole) <= tolerance) | (depth == _MAX_DEPTH)
-        done.append((segment[fine], start[fine], end[fine], (first + second)[fine]))
+        # The halves are the panels: each is then as long as its own rule says, and no border is a step of the length.
+        done.append((segment[fine], start[fine], middle[fine], first[fine]))
+        done.append((segment[fine], middle[fine], end[fine], second[fine]))
         rough = ~fine
         segment = np.concatenate([segment[rough], segment[rough]])
         start, end = np.concatenate([start[rough], middle[rough]]), np.concatenate([middle[rough], end[rough]])

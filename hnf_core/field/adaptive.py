@@ -63,7 +63,7 @@ class Sampled:
         """out (n, K) += factor (n,) times alpha between the evaluations row (n,) and the next."""
         alpha, compiled = self.emission.alpha[:, 0], kernel()
         if compiled is not None:
-            add_rows(compiled, alpha, row, share, factor, out)
+            add_rows(compiled, np.ascontiguousarray(alpha), row, share, factor, out)
         else:
             out += factor[:, None] * _between(alpha, row, share)
 

@@ -25,7 +25,7 @@ class Knots:
         low = max(int(np.searchsorted(self.at, first, side="right")) - 1, 0)
         high = min(int(np.searchsorted(self.at, last, side="left")) + 1, len(self.at))
         low, high = min(low, len(self.at) - 2), max(high, 2)
-        return Knots(self.at[low:high], self.amplitude[low:high].astype(np.float32, copy=False))
+        return Knots(self.at[low:high], np.ascontiguousarray(self.amplitude[low:high], dtype=np.float32))
 
     def of(self, carriers: slice) -> Knots:
         return Knots(self.at, self.amplitude[:, carriers])

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .library import address
+from .library import address, pointers
 
 Float = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -81,7 +81,7 @@ def linear_contact(kernel: ctypes.CDLL, tables: Tables, tokens: Float, touch: Fl
         np.empty((2, states, lines)), np.empty((states, lines), dtype=np.int64),
     )  # fmt: skip
     scratch = np.empty(5 * tables.bands + (5 + tables.angles) * tables.token_bands)
-    out = (ctypes.c_void_p * len(found))(*(each.__array_interface__["data"][0] for each in found))
+    out = pointers([each.__array_interface__["data"][0] for each in found])
     kernel.hnf_linear_contact(
         ctypes.byref(tables.struct), address(tokens, np.float64), tokens.shape[1], address(touch, np.float64), states,
         address(scratch, np.float64), out,

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import ctypes
 import os
+import struct
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
@@ -70,6 +71,12 @@ def address(array: NDArray[Any], dtype: Any) -> int:
     if array.dtype != dtype or not array.flags.c_contiguous:
         raise TypeError(f"the kernel takes contiguous {np.dtype(dtype)}, not {array.dtype} of strides {array.strides}")
     return int(array.__array_interface__["data"][0])
+
+
+def pointers(addresses: Sequence[int]) -> bytes:
+    """A table of them, for as long as the call that it is given to takes. (A ctypes array has a class of its own for
+    every length, which waits for the garbage collector.)"""
+    return struct.pack(f"{len(addresses)}P", *addresses)
 
 
 def rows(array: NDArray[np.float32]) -> tuple[int, int]:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .library import address, rows
+from .library import address, pointers, rows
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -96,7 +96,7 @@ def in_arc(
             scratch = np.empty(4 * (last + 1 - first), dtype=np.float32)
             room = address(scratch, np.float32)
         kernel.hnf_read_arc(
-            *rows(amplitude), bands, (ctypes.c_void_p * len(pieces))(*(piece.address for piece in pieces)), length,
+            *rows(amplitude), bands, pointers([piece.address for piece in pieces]), length,
             begin, per_m, turns, *sampled, room, to,
         )  # fmt: skip
     return out
