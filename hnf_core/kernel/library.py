@@ -1,7 +1,7 @@
 """Finds and loads the compiled kernel (package hnf_kernel, which tools/build_kernel.py makes from source/).
 
 Everything it does has a twin in numpy that takes over where there is no kernel, or where HNF_KERNEL=off asks for it.
-`hnf doctor` and `hnf bench` say which of the two is at work.
+`hnf bench` says which of the two was at work.
 """
 
 from __future__ import annotations
