@@ -100,7 +100,7 @@ def _found() -> tuple[ctypes.CDLL | None, str]:
         wide = folder / f"hnf_kernel_wide{SUFFIX}"
         if library.hnf_has_wide_vectors() and wide.is_file():
             library = _load(wide)
-    except OSError as error:
+    except (OSError, AttributeError) as error:  # not a library, or one without our functions
         return None, str(error)
     return library, ""
 
