@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
 from ..material.contact import force_response, height_response
@@ -19,6 +20,7 @@ from ..material.mechanics import Mechanics
 from ..material.probe import PROBES, Probe
 from .carriers import MODEL_RATE_HZ
 from .modulation import interpolate, states_read
+from .timeline import SAMPLES_PER_STATE, smooth
 
 Float = NDArray[np.float64]
 Response = Callable[[ArrayLike, Mechanics, Probe, ArrayLike], NDArray[np.complex128]]
@@ -32,47 +34,64 @@ at worst, 0.02 % in the median (a test holds it)."""
 LIGHTEST_OCTAVE = -6
 """2⁻⁶ N = 16 mN; what presses less answers alike."""
 KEPT_RESPONSES = 512
+Contact = tuple[Mechanics, Probe, float]
+"""What is touched, with what, at which load [N]."""
+
+_SHARE = np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE
+STATE_CURVE = np.concatenate([smooth(unit, 1.0 + _SHARE) for unit in np.eye(4)[::-1]])
+"""What one state of 1 N makes of the force: the spline between the second and the third of four states, oldest last."""
+CURVE_LEAD = 2 * SAMPLES_PER_STATE
+"""Samples of it before the state's own."""
+STATES_AHEAD = -(-(LEAD + CURVE_LEAD) // SAMPLES_PER_STATE)
+STATES_BEHIND = (TAIL + len(STATE_CURVE) - CURVE_LEAD - 1) // SAMPLES_PER_STATE
+"""That the samples from a state to the next are made from, besides it."""
 
 
 @dataclass(frozen=True)
 class FilterBank:
-    """height, force: (B, LEAD + TAIL) impulse responses. weights: (n, B) at each state, sum 1."""
+    """contacts: B of them. weights: (n, B) of each at every state, sum 1."""
 
-    height: Float
-    force: Float
+    contacts: tuple[Contact, ...]
     weights: Float
 
     def height_term(self, height: Float, start: int) -> Float:
         """Acceleration (count,) [m/s²] of a profile height (TAIL + count + LEAD,) [m], which begins TAIL samples before
         sample `start`."""
-        return self._apply(self.height, self._height_spectra, height, start)
-
-    def force_term(self, force: Float, start: int) -> Float:
-        """The same of a pressing force [N]."""
-        return self._apply(self.force, self._force_spectra, force, start)
-
-    @cached_property
-    def _height_spectra(self) -> NDArray[np.complex128]:
-        return np.asarray(np.fft.rfft(self.height, _GRID))
-
-    @cached_property
-    def _force_spectra(self) -> NDArray[np.complex128]:
-        return np.asarray(np.fft.rfft(self.force, _GRID))
-
-    def _apply(self, kernels: Float, spectra: NDArray[np.complex128], signal: Float, start: int) -> Float:
-        count = len(signal) - LEAD - TAIL
+        count = len(height) - LEAD - TAIL
         # A circle as long as the signal is enough: what wraps round is in the samples before `start`.
-        size = 1 << (len(signal) - 1).bit_length()
-        used = np.flatnonzero(np.any(self.weights[states_read(len(self.weights), start, count)] > 0.0, axis=0))
-        spectrum = np.fft.rfft(signal, size)
+        size = 1 << (len(height) - 1).bit_length()
+        used = self._used(states_read(len(self.weights), start, count))
+        kernels = np.stack([impulse_response(height_response, *self.contacts[each]) for each in used])
+        full = np.fft.irfft(np.fft.rfft(height, size) * np.fft.rfft(kernels, size), size)
         fades = interpolate(self.weights[:, used], start, count)
-        # y(t) = Σ_τ h(τ) x(t − τ), τ from −LEAD to TAIL − 1.
-        full = np.fft.irfft(spectrum * (spectra[used] if size == _GRID else np.fft.rfft(kernels[used], size)), size)
         return np.asarray(np.einsum("tb,bt->t", fades, full[:, TAIL + LEAD : TAIL + LEAD + count]))
+
+    def force_term(self, force: Float, start: int, count: int) -> Float:
+        """The same, of the force (n,) [N] that presses at each state, with the cubic B-spline through them.
+
+        Spline and response are linear, so each state adds the same curve, at its own place, to all samples about it:
+        a small product of matrices for a block, where a transform would be of all its samples.
+        """
+        first, last = start // SAMPLES_PER_STATE, (start + count - 1) // SAMPLES_PER_STATE
+        near = force[np.clip(np.arange(first - STATES_BEHIND, last + STATES_AHEAD + 1), 0, len(force) - 1)]
+        # The responses pass nothing constant on, and most hands press evenly for a while.
+        if near.min() == near.max():
+            return np.zeros(count)
+        around = np.ascontiguousarray(sliding_window_view(near, STATES_BEHIND + 1 + STATES_AHEAD))
+        states = np.clip(np.arange(first, last + 2), 0, len(force) - 1)
+        out = np.zeros((last + 1 - first, SAMPLES_PER_STATE))
+        for each in self._used(slice(states[0], states[-1] + 1)):
+            weight = self.weights[states, each]
+            fade = weight[:-1, None] * (1.0 - _SHARE) + weight[1:, None] * _SHARE
+            out += fade * (around @ _given_about(*self.contacts[each]))
+        return out.reshape(-1)[start - first * SAMPLES_PER_STATE :][:count]
+
+    def _used(self, states: slice) -> NDArray[np.intp]:
+        return np.flatnonzero(np.any(self.weights[states] > 0.0, axis=0))
 
 
 def filter_bank(mechanics: tuple[Mechanics, ...], material: NDArray[np.int32], force: Float, probe: str) -> FilterBank:
-    """Impulse responses of every different mechanics that is touched, at the loads next to those it is pressed with.
+    """Every different mechanics that is touched, at the loads next to those it is pressed with.
 
     material: (n,) index into mechanics at each state; force: (n,) N.
     """
@@ -80,18 +99,31 @@ def filter_bank(mechanics: tuple[Mechanics, ...], material: NDArray[np.int32], f
     place = LOADS_PER_OCTAVE * np.log2(np.maximum(force, floor) / floor)
     kinds = list(dict.fromkeys(mechanics[index] for index in np.unique(material)))
     kind = np.array([kinds.index(each) if each in kinds else -1 for each in mechanics])[material]
-    weights, height, pressing = [], [], []
+    contacts, weights = [], []
     for index, each in enumerate(kinds):
         mine = kind == index
         levels = np.arange(np.floor(place[mine].min()), np.ceil(place[mine].max()) + 1.0)
         for level in levels:
             hat = np.where(mine, np.maximum(1.0 - np.abs(place - level), 0.0), 0.0)
             if hat.any():
-                load = floor * 2.0 ** (level / LOADS_PER_OCTAVE)
+                contacts.append((each, PROBES[probe], floor * 2.0 ** (float(level) / LOADS_PER_OCTAVE)))
                 weights.append(hat)
-                height.append(impulse_response(height_response, each, PROBES[probe], load))
-                pressing.append(impulse_response(force_response, each, PROBES[probe], load))
-    return FilterBank(np.stack(height), np.stack(pressing), np.stack(weights, axis=1))
+    return FilterBank(tuple(contacts), np.stack(weights, axis=1))
+
+
+@lru_cache(maxsize=KEPT_RESPONSES)
+def _given_about(mechanics: Mechanics, probe: Probe, force: float) -> Float:
+    """(STATES_BEHIND + 1 + STATES_AHEAD, SAMPLES_PER_STATE): what 1 N in the states about a state's samples adds to
+    them, the earliest first."""
+    kernel = impulse_response(force_response, mechanics, probe, force)
+    curve = np.fft.irfft(np.fft.rfft(kernel, _GRID) * np.fft.rfft(STATE_CURVE, _GRID), _GRID)
+    whole = np.zeros((STATES_BEHIND + 1 + STATES_AHEAD, SAMPLES_PER_STATE))
+    begin = STATES_AHEAD * SAMPLES_PER_STATE - LEAD - CURVE_LEAD
+    length = LEAD + TAIL + len(STATE_CURVE) - 1
+    whole.reshape(-1)[begin : begin + length] = curve[:length]
+    table = np.ascontiguousarray(whole[::-1])
+    table.setflags(write=False)
+    return table
 
 
 @lru_cache(maxsize=KEPT_RESPONSES)

@@ -18,8 +18,8 @@ from ..material.contact import force_response
 from ..material.mechanics import Mechanics
 from ..material.probe import PROBES, Probe
 from .carriers import MODEL_RATE_HZ
-from .contact_filter import LEAD, LIGHTEST_OCTAVE, LOADS_PER_OCTAVE, TAIL
-from .timeline import SAMPLES_PER_STATE, smooth
+from .contact_filter import LEAD, LIGHTEST_OCTAVE, LOADS_PER_OCTAVE, STATE_CURVE, TAIL
+from .timeline import SAMPLES_PER_STATE
 
 Float = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
@@ -32,9 +32,7 @@ HEAVIEST_OCTAVE = 4
 """Up to 16 N responses are made ready; a heavier hand's when it comes."""
 KEPT_RESPONSES = 512
 _SHARE = np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE
-# What one state of 1 N makes of the force: the spline between the second and the third of four states, oldest last.
-_BUMP = np.concatenate([smooth(unit, 1.0 + _SHARE) for unit in np.eye(4)[::-1]])
-STATES = -(-(TAIL + len(_BUMP) - 1) // SAMPLES_PER_STATE)
+STATES = -(-(TAIL + len(STATE_CURVE) - 1) // SAMPLES_PER_STATE)
 """That a sample is made from."""
 
 
@@ -93,7 +91,9 @@ class LivePressing:
 def _given_later(mechanics: Mechanics, probe: Probe, level: int) -> Float:
     """(STATES, SAMPLES_PER_STATE): what 1 N in a state gives in the steps from its own on."""
     kernel = causal_response(mechanics, probe, 2.0 ** (level / LOADS_PER_OCTAVE))
-    whole = np.fft.irfft(np.fft.rfft(kernel, _GRID) * np.fft.rfft(_BUMP, _GRID), _GRID)[: STATES * SAMPLES_PER_STATE]
+    whole = np.fft.irfft(np.fft.rfft(kernel, _GRID) * np.fft.rfft(STATE_CURVE, _GRID), _GRID)[
+        : STATES * SAMPLES_PER_STATE
+    ]
     table = whole.reshape(STATES, SAMPLES_PER_STATE)
     table.setflags(write=False)
     return np.asarray(table)

@@ -36,8 +36,6 @@ from .timeline import (
     action_at,
     condition_of,
     sample_count,
-    smooth_samples,
-    states_about,
     states_in,
     states_of,
 )
@@ -321,18 +319,12 @@ def texture_term(prepared: Prepared, start: int, count: int) -> Float:
 
 def contact_term(prepared: Prepared, start: int, count: int) -> Float:
     """Pressing: onset, release and dF/dt through the contact, also at v = 0; and the profile under the path."""
-    margin_start, margin_count = start - TAIL, TAIL + count + LEAD
-    # The responses pass nothing constant on, and most hands press evenly for a while.
-    around = states_about(len(prepared.force), margin_start, margin_count)
-    if np.all(prepared.force[around] == prepared.force[around.start]):
-        out = np.zeros(count)
-    else:
-        force = smooth_samples(prepared.force, margin_start, margin_count)
-        out = prepared.bank.force_term(force, start)
+    out = prepared.bank.force_term(prepared.force, start, count)
     if prepared.bands is not None and prepared.profile_amplitude is not None:
+        first, many = start - TAIL, TAIL + count + LEAD
         height = arc_term(
             prepared.profile_amplitude, prepared.carriers, prepared.bands.source,
-            position(prepared.action, margin_start, margin_count), margin_start,
+            position(prepared.action, first, many), first,
         )  # fmt: skip
         out += prepared.bank.height_term(height, start)
     return out

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -96,13 +95,6 @@ def sample_count(action: Action) -> int:
     return (len(action.speed) - 1) * SAMPLES_PER_STATE
 
 
-def states_about(states: int, start: int, count: int) -> slice:
-    """All the states that smooth() reads at samples start … start + count − 1 of the model rate."""
-    last = states - 1
-    low, high = start // SAMPLES_PER_STATE - 1, (start + count - 1) // SAMPLES_PER_STATE + 2
-    return slice(min(max(low, 0), last), min(max(high, 0), last) + 1)
-
-
 def cubic(values: Float, place: Float) -> Float:
     """Catmull–Rom interpolation of values (n,) at fractional indices, held beyond the ends; C1."""
     last = len(values) - 1
@@ -129,36 +121,20 @@ def smooth(values: Float, place: Float) -> Float:
 
 
 def cubic_samples(values: Float, start: int, count: int) -> Float:
-    """cubic() of states (n,) at samples start … start + count − 1 of the model rate, (count,)."""
+    """cubic() of states (n,) at samples start … start + count − 1 of the model rate, (count,).
+
+    A state's samples lie at the same shares of the way to the next: their weights are the same for every state.
+    """
     last = len(values) - 1
     ends = 2 * values[0] - values[min(1, last)], 2 * values[-1] - values[max(last - 1, 0)]
     padded = np.concatenate([ends[:1], values, ends[1:]])
-
-    def control(state: NDArray[np.intp]) -> Float:
-        inside = padded[np.clip(state[:, None] + np.arange(4), 0, last + 2)]
-        return np.where(state[:, None] < 0, values[0], np.where(state[:, None] >= last, values[-1], inside))
-
-    return _samples(control, _through(_SHARES), start, count)
-
-
-def smooth_samples(values: Float, start: int, count: int) -> Float:
-    """smooth() of states (n,) at samples start … start + count − 1 of the model rate, (count,)."""
-    last = len(values) - 1
-    return _samples(
-        lambda state: values[np.clip(state[:, None] + np.arange(-1, 3), 0, last)], _beside(_SHARES), start, count
-    )
-
-
-def _samples(control: Callable[[NDArray[np.intp]], Float], weights: tuple[Float, ...], start: int, count: int) -> Float:
-    """A state's samples lie at the same shares of the way to the next: their weights are the same for every state.
-
-    control: states (m,) → the four values about each, (m, 4).
-    """
     first = start // SAMPLES_PER_STATE
-    four = control(np.arange(first, (start + max(count, 1) - 1) // SAMPLES_PER_STATE + 1))
-    out = four[:, :1] * weights[0]
+    state = np.arange(first, (start + max(count, 1) - 1) // SAMPLES_PER_STATE + 1)[:, None]
+    four = padded[np.clip(state + np.arange(4), 0, last + 2)]
+    four = np.where(state < 0, values[0], np.where(state >= last, values[-1], four))
+    out = four[:, :1] * _WEIGHTS[0]
     for tap in range(1, 4):
-        out += four[:, tap : tap + 1] * weights[tap]
+        out += four[:, tap : tap + 1] * _WEIGHTS[tap]
     return np.asarray(out.reshape(-1)[start - first * SAMPLES_PER_STATE :][:count])
 
 
@@ -182,4 +158,4 @@ def _beside(t: Float) -> tuple[Float, ...]:
     )
 
 
-_SHARES = np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE
+_WEIGHTS = _through(np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE)

@@ -10,10 +10,11 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from hnf_core.action.action import Action
-from hnf_core.field.contact_filter import LOADS_PER_OCTAVE, filter_bank, impulse_response
+from hnf_core.field.contact_filter import LEAD, LOADS_PER_OCTAVE, TAIL, filter_bank, impulse_response
 from hnf_core.field.incremental import Rendered, Superseded, render
 from hnf_core.field.stroke import HeightProfile, StrokeInput
 from hnf_core.field.synthesis import BLOCK, synthesise
+from hnf_core.field.timeline import SAMPLES_PER_STATE, smooth
 from hnf_core.field.weights import load_field
 from hnf_core.material.contact import force_response, height_response
 from hnf_core.material.library import find, load_library
@@ -142,10 +143,29 @@ def test_the_contact_between_two_loads_is_that_of_the_load() -> None:
     assert worst < 0.007
 
 
+@pytest.mark.parametrize(("start", "count"), [(0, 1), (0, 4096), (4096, 4096), (17, 333), (7900, 2100)])
+def test_pressing_is_the_spline_of_the_force_through_the_responses(start, count) -> None:
+    """Against both written out: the spline at every sample, each response run over it, blended at each sample."""
+    time = np.arange(201) / 200.0
+    force = np.abs(1.5 * np.sin(7.0 * time)) + 3.0 * (time > 0.6)
+    mechanics = tuple(find(name).mechanics for name in MATERIALS[:2])
+    material = (time > 0.5).astype(np.int32)
+    bank = filter_bank(mechanics, material, force, "pen")
+    place = (np.arange(start - TAIL, start + count + LEAD)) / SAMPLES_PER_STATE
+    pressed = smooth(force, place)
+    wanted = np.zeros(count)
+    for contact, weight in zip(bank.contacts, bank.weights.T, strict=True):
+        response = impulse_response(force_response, *contact)
+        fade = np.interp(place[TAIL : TAIL + count], np.arange(201), weight)
+        wanted += fade * np.convolve(pressed, response)[TAIL + LEAD :][:count]
+    assert np.abs(wanted).max() > 1e-3
+    np.testing.assert_allclose(bank.force_term(force, start, count), wanted, atol=1e-10)
+
+
 def test_equal_mechanics_share_their_filters() -> None:
     """A long stroke over forty patches of one material has the filters of one."""
     mechanics = (find(MATERIALS[0]).mechanics,) * 40
     bank = filter_bank(mechanics, np.arange(40, dtype=np.int32), np.linspace(0.0, 2.0, 40), "pen")
-    assert bank.weights.shape == (40, len(bank.height))
-    assert len(bank.height) <= 15
+    assert bank.weights.shape == (40, len(bank.contacts))
+    assert len(bank.contacts) <= 15
     assert bank.weights.sum(axis=1) == pytest.approx(np.ones(40))

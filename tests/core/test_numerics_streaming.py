@@ -110,7 +110,7 @@ def test_streaming_keeps_nothing():
     """Memory after a hundred blocks all over the ten minutes is that after fifty: no table grows with what was played,
     once the carriers are there that are kept for the next render."""
     blocks = KEPT_TIME_HOPS + 2  # each of them brings eight hops of arc length and more
-    shape = LONG.amplitude.tobytes()[:4096], LONG.bank.height.tobytes()
+    shape = LONG.amplitude.tobytes()[:4096], LONG.bank.contacts
     tracemalloc.start()
     try:
         for k in range(blocks):
@@ -122,7 +122,7 @@ def test_streaming_keeps_nothing():
     finally:
         tracemalloc.stop()
     assert late - early < 20_000
-    assert shape == (LONG.amplitude.tobytes()[:4096], LONG.bank.height.tobytes())
+    assert shape == (LONG.amplitude.tobytes()[:4096], LONG.bank.contacts)
 
 
 def test_position_does_not_drift_from_the_clock():

@@ -15,7 +15,7 @@ from hnf_core.field.field import Field, FieldConfig, initial_parameters
 from hnf_core.field.reference import synthesise_reference
 from hnf_core.field.stroke import HeightProfile, StrokeInput, uniform_stroke
 from hnf_core.field.synthesis import prepare, render_block, synthesise, texture_term
-from hnf_core.field.timeline import SAMPLES_PER_STATE, cubic, cubic_samples, smooth, smooth_samples
+from hnf_core.field.timeline import SAMPLES_PER_STATE, cubic, cubic_samples
 from hnf_core.field.weights import load_field
 from hnf_core.material.mechanics import Mechanics
 from hnf_core.material.token import BAND_FEATURES, TOKEN_DIM
@@ -203,7 +203,6 @@ def test_the_action_rate_does_not_change_the_touch():
 def test_states_read_at_every_sample_are_read_anywhere(states, start, count):
     values, place = np.array(states), (start + np.arange(count)) / SAMPLES_PER_STATE
     np.testing.assert_allclose(cubic_samples(values, start, count), cubic(values, place), atol=1e-12)
-    np.testing.assert_allclose(smooth_samples(values, start, count), smooth(values, place), atol=1e-12)
 
 
 def test_a_slow_force_ramp_does_not_hum():
