@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..action.action import Action
+from ..kernel import hop as kernel_hop
+from ..kernel.library import kernel
 from .carriers import Carriers
 from .modulation import arc_term, interpolate, time_term
 from .timeline import SAMPLES_PER_STATE, cubic, cubic_samples
@@ -42,6 +44,10 @@ def position(action: Action, start: int, count: int) -> Float:
 
 def position_beyond(action: Action, start: int, count: int) -> Float:
     """position() that goes on as fast as it began and ended, for filters that look beyond the stroke."""
+    compiled = kernel()
+    if compiled is not None:
+        path = np.ascontiguousarray(action.position, dtype=np.float64)
+        return kernel_hop.place(compiled, path, SAMPLES_PER_STATE, start, count)
     sample = start + np.arange(count)
     last = (len(action.position) - 1) * SAMPLES_PER_STATE
     ends = cubic(action.position, np.array([0.0, 1.0, last - 1.0, last]) / SAMPLES_PER_STATE)

@@ -7,7 +7,6 @@ up at the end, octaves and low bands together. A hop is a function of the knots 
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
 from collections.abc import Iterator
 from ctypes import CDLL
@@ -17,9 +16,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernel import texture as kernel_texture
+from ..kernel import hop as kernel_hop
+from ..kernel.hop import HopTables
 from ..kernel.library import kernel
-from ..kernel.texture import Between, Octave, Piece
+from ..kernel.texture import Piece
 from .carriers import ARC_PER_OCTAVE, MODEL_RATE_HZ, Carriers
 from .hops import (
     ARC_CELLS,
@@ -58,6 +58,9 @@ def texture_hop(knots: Knots, carriers: Carriers, seed: int, place: Float, hop: 
     first = hop * HOP
     begin = first - REACH
     near = knots.around(begin, begin + len(place))
+    compiled = kernel()
+    if compiled is not None:
+        return _compiled_hop(compiled, near, carriers, seed, place, hop)
     when = _When(begin, *near.between(begin + np.arange(len(place))))
     rates = _Rates(first)
     if carriers.time_count and np.any(near.amplitude[:, carriers.time_slice]):
@@ -152,9 +155,6 @@ def _twice(values: Float32, level: int) -> Float32:
 
 def _faded(amplitude: Float32, waves: Float32, when: _When) -> Float32:
     """Σ_k A_k c_k of waves (K, n); (n,)."""
-    compiled = kernel()
-    if compiled is not None:
-        return kernel_texture.faded(compiled, amplitude, waves, Between.of(when.row, when.share))
     out = np.empty(waves.shape[1], dtype=np.float32)
     for rows, part in _parts(when.row):
         sums = amplitude[rows] @ waves[:, part]
@@ -166,9 +166,6 @@ def _faded(amplitude: Float32, waves: Float32, when: _When) -> Float32:
 
 def _in_arc(near: Knots, carriers: Carriers, seed: int, octaves: list[int], place: Float, when: _When) -> Float32:
     """Σ_k A_k c_k of the octaves at samples at place (n,) [m]; (n,)."""
-    compiled = kernel()
-    if compiled is not None:
-        return _in_arc_compiled(compiled, near, carriers, seed, octaves, place, when)
     at = place / (CELL * np.array([[carriers.arc_step_m(octave)] for octave in octaves]))
     cell = np.floor(at).astype(np.int64)
     weights = [weight.astype(np.complex64) for weight in cell_weights((at - cell).astype(np.float32))]
@@ -195,20 +192,25 @@ def _in_arc(near: Knots, carriers: Carriers, seed: int, octaves: list[int], plac
     return np.asarray((out.real * np.cos(angle) - out.imag * np.sin(angle)).sum(axis=0))
 
 
-def _in_arc_compiled(
-    compiled: CDLL, near: Knots, carriers: Carriers, seed: int, octaves: list[int], place: Float, when: _When
-) -> Float32:
-    least, most = float(place.min()), float(place.max())
+def _compiled_hop(compiled: CDLL, near: Knots, carriers: Carriers, seed: int, place: Float, hop: int) -> Float:
+    sounds = carriers.time_count and np.any(near.amplitude[:, carriers.time_slice])
+    return kernel_hop.hop(
+        compiled, _tables(carriers), near.at, near.amplitude, hop * HOP, np.ascontiguousarray(place),
+        time_hop(carriers, seed, hop) if sounds else None,
+        lambda octave, number: Piece.of(arc_hop(carriers, seed, octave, number)),
+    )  # fmt: skip
 
-    def octave_of(octave: int) -> Octave:
-        per_m = 1.0 / (CELL * carriers.arc_step_m(octave))
-        hops = range((math.floor(least * per_m) - 1) // ARC_HOP, (math.floor(most * per_m) + 2) // ARC_HOP + 1)
-        kept = [Piece.of(arc_hop(carriers, seed, octave, hop)) for hop in hops]
-        return Octave(near.amplitude[:, _bands(carriers, octave)], kept, hops.start * ARC_HOP, per_m)
 
-    return kernel_texture.in_arc(
-        compiled, map(octave_of, octaves), MIDDLE / ARC_CELLS, np.ascontiguousarray(place), powers(),
-        Between.of(when.row, when.share),
+@lru_cache(maxsize=8)
+def _tables(carriers: Carriers) -> HopTables:
+    levels = time_levels(carriers)
+    return HopTables(
+        margin=np.array(MARGINS), time_band=np.array([each.start for each in levels]),
+        time_bands=np.array([each.stop - each.start for each in levels]),
+        cells_per_m=np.array([1.0 / (CELL * carriers.arc_step_m(each)) for each in range(carriers.arc_octaves)]),
+        half_band=_half_band(), cubic=powers(), hop=HOP, reach=REACH, time_first=carriers.time_slice.start,
+        arc_first=carriers.arc_slice.start, bands=ARC_PER_OCTAVE, piece_cells=ARC_HOP, rate=MODEL_RATE_HZ,
+        highest=HIGHEST, band_end=BAND_END_HZ, lowest=carriers.arc_start_per_m, turns=MIDDLE / ARC_CELLS,
     )  # fmt: skip
 
 

@@ -20,14 +20,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-ABI = 1
+ABI = 2
 """hnf_kernel.h's HNF_ABI: another one has other functions."""
 SWITCH = "HNF_KERNEL"
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 
 _Integer, _Number, _Pointer = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 _SIGNATURES = {
-    "hnf_faded": (_Pointer, _Integer, _Integer, _Pointer, _Integer, _Pointer, _Pointer, _Pointer),
+    "hnf_hop": (
+        _Pointer, _Pointer, _Integer, _Pointer, _Pointer, _Pointer, _Pointer, _Integer, _Pointer, _Pointer,
+    ),
+    "hnf_place": (_Pointer, _Integer, _Integer, _Integer, _Integer, _Pointer),
     "hnf_read_arc": (
         _Pointer, _Integer, _Integer, _Pointer, _Integer, _Integer, _Number, _Number, _Pointer, _Pointer, _Pointer,
         _Pointer, _Integer, _Pointer, _Pointer,
@@ -116,4 +119,6 @@ def _load(path: Path) -> ctypes.CDLL:
     for name, arguments in _SIGNATURES.items():
         function = getattr(library, name)
         function.restype, function.argtypes = None, arguments
+    library.hnf_plan_hop.restype = _Integer
+    library.hnf_plan_hop.argtypes = (_Pointer, _Pointer, _Integer, _Pointer, _Integer, _Pointer)
     return library

@@ -36,18 +36,6 @@ class Between:
             raise ValueError(f"{len(self.row)} places between {knots} knots for {samples} samples")
 
 
-def faded(kernel: ctypes.CDLL, amplitude: Float32, waves: Float32, between: Between) -> Float32:
-    """Σ_k A_k c_k (n,) of amplitudes (m, K) at knots and waves (K, n)."""
-    bands, count = waves.shape
-    between.check(count, len(amplitude))
-    out = np.empty(count, dtype=np.float32)
-    kernel.hnf_faded(
-        *rows(amplitude), bands, address(waves, np.float32), count, address(between.row, np.int64),
-        address(between.share, np.float32), address(out, np.float32),
-    )  # fmt: skip
-    return out
-
-
 class Piece(NamedTuple):
     """waves: (B, cells), contiguous. address: of its numbers, worked out once."""
 

@@ -19,19 +19,23 @@ from hnf_core.field.adaptive import Sampled, accumulated
 from hnf_core.field.band_waves import complex_waves, real_waves
 from hnf_core.field.carriers import Carriers
 from hnf_core.field.field import Emission, FieldConfig
+from hnf_core.field.hops import arc_hop, time_hop
 from hnf_core.field.knots import Knots
 from hnf_core.field.linear_contact import linear_contact
 from hnf_core.field.noise import band_bins, crossfade_window
+from hnf_core.field.plain import position_beyond
 from hnf_core.field.synthesis import prepare, rendered
 from hnf_core.field.texture import REACH, texture_hop
 from hnf_core.field.timeline import action_at, condition_of, states_of
 from hnf_core.field.weights import load_field
+from hnf_core.kernel import hop as kernel_hop
 from hnf_core.kernel import library
 from hnf_core.kernel.contact import FEATURES, TOUCH, Tables, add_rows
 from hnf_core.kernel.contact import linear_contact as compiled_contact
+from hnf_core.kernel.hop import HopTables
 from hnf_core.kernel.library import kernel, plainly, why_not
 from hnf_core.kernel.noise import bins
-from hnf_core.kernel.texture import Between, Octave, Piece, faded, in_arc
+from hnf_core.kernel.texture import Between, Octave, Piece, in_arc
 from hnf_core.material.library import find
 
 CARRIERS = Carriers()
@@ -168,18 +172,17 @@ class Refuses:
 
 def test_what_it_would_misread_never_reaches_it():
     none, rows, between = Refuses(), np.ones((3, 2), np.float32), Between(np.zeros(8, int), np.zeros(8, np.float32))
-    waves, pieces = np.ones((2, 8), np.float32), [Piece.of(np.ones((2, 64), np.complex64))]
-    with pytest.raises(TypeError, match="float32"):
-        faded(none, rows.astype(float), waves, between)
-    with pytest.raises(TypeError, match="contiguous"):
-        faded(none, rows, np.ones((8, 2), np.float32).T, between)
+    pieces = [Piece.of(np.ones((2, 64), np.complex64))]
     for row in (np.full(8, 2), np.full(8, -1), np.zeros(7, int)):
         with pytest.raises(ValueError, match="knots"):
-            faded(none, rows, waves, Between(row, np.zeros(8, np.float32)))
+            in_arc(none, [Octave(rows, pieces, 0, 1000.0)], 0.1, np.full(8, 0.03), np.ones((4, 4), np.float32),
+                   Between(row, np.zeros(8, np.float32)))  # fmt: skip
     cubic = np.ones((4, 4), np.float32)
     for place in (np.nan, np.inf, 0.0, 0.062, 1e6):
         with pytest.raises(ValueError, match=r"places|cells"):
             in_arc(none, [Octave(rows, pieces, 0, 1000.0)], 0.1, np.full(8, place), cubic, between)
+    with pytest.raises(TypeError, match="float32"):
+        in_arc(none, [Octave(rows.astype(float), pieces, 0, 1000.0)], 0.1, np.full(8, 0.03), cubic, between)
     words = np.zeros(4, np.uint64)
     with pytest.raises(TypeError, match="uint64"):
         bins(none, words.astype(np.int64), words, np.ones(4))
@@ -203,6 +206,74 @@ def test_what_it_would_misread_never_reaches_it():
     for tokens, states in ((np.ones((2, 20)), touch), (np.ones((3, 21)), touch), (np.ones((2, 21)), touch[:, :8])):
         with pytest.raises(ValueError, match="contact"):
             compiled_contact(none, tables, tokens, states)
+
+
+def test_a_hop_that_it_would_misread_never_reaches_it():
+    tables, none = texture._tables(CARRIERS), Refuses()
+    at, amplitude = np.array([0, 9000]), np.ones((2, CARRIERS.count), np.float32)
+    place, waves = np.linspace(0.0, 0.05, HOP + 2 * REACH), time_hop(CARRIERS, 1, 0)
+
+    def asked(at=at, amplitude=amplitude, place=place, waves=waves, kernel=none, piece=None):
+        return kernel_hop.hop(kernel, tables, at, amplitude, 0, place, waves, piece or (lambda octave, number: None))
+
+    for wrong, error in (
+        ({"at": at.astype(np.int32)}, TypeError), ({"at": at[:1], "amplitude": amplitude[:1]}, ValueError),
+        ({"amplitude": amplitude.astype(float)}, TypeError), ({"amplitude": amplitude[:, 1:]}, ValueError),
+        ({"amplitude": np.ones((3, CARRIERS.count), np.float32)}, ValueError), ({"place": place[1:]}, ValueError),
+        ({"place": np.where(place > 0.02, np.nan, place)}, ValueError), ({"place": place[::-1]}, TypeError),
+    ):  # fmt: skip
+        with pytest.raises(error):
+            asked(**wrong)
+    compiled = kernel()
+    if compiled is not None:
+        with pytest.raises(ValueError, match="carriers in time"):
+            asked(kernel=compiled, waves=waves[:2], piece=lambda *_: Piece.of(arc_hop(CARRIERS, 1, 0, 0)))
+        with pytest.raises(ValueError, match="piece"):
+            asked(kernel=compiled, piece=lambda *_: Piece.of(np.ones((24, 9), np.complex64)))
+    with pytest.raises(ValueError, match="states"):
+        kernel_hop.place(none, np.zeros(1), 50, 0, 10)
+    given = {
+        "margin": np.array([0, 6, 10]), "time_band": np.zeros(3, int), "time_bands": np.zeros(3, int),
+        "cells_per_m": np.ones(8), "half_band": np.ones(12, np.float32), "cubic": np.ones((4, 4), np.float32),
+        "hop": 64, "reach": 40, "time_first": 0, "arc_first": 0, "bands": 24, "piece_cells": 64, "rate": 1e4,
+        "highest": 0.25, "band_end": 4800.0, "lowest": 50.0, "turns": 0.1,
+    }  # fmt: skip
+    HopTables(**given)
+    for wrong in ({"margin": np.array([0, 6, 8])}, {"margin": np.array([0, 4, 10])}, {"reach": 39}, {"hop": 100},
+                  {"time_bands": np.zeros(2, int)}, {"cubic": np.ones((4, 3), np.float32)}):  # fmt: skip
+        with pytest.raises(ValueError, match="hop"):
+            HopTables(**given | wrong)
+
+
+@needs_kernel
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.floats(-2.0, 2.0), min_size=2, max_size=30), st.integers(-4000, 4000), st.integers(1, 700))
+def test_where_the_hand_is_is_what_numpy_says(states, start, count):
+    action = ten_seconds(0.1).action
+    action = type(action)(
+        action.rate, np.tile([1.0, 0.0], (len(states), 1)), np.ones(len(states)), np.ones(len(states)),
+        np.array(states), np.ones(len(states), bool),
+    )  # fmt: skip
+    found = position_beyond(action, start, count)
+    with plainly():
+        wanted = position_beyond(action, start, count)
+    np.testing.assert_allclose(found, wanted, atol=1e-12)
+
+
+@needs_kernel
+def test_a_hand_that_jumps_asks_for_no_more_cells_than_it_can_sound():
+    """A kilometre within a sample, and a hop of jumps: numpy and the kernel read the same stretches."""
+    rng, at = np.random.default_rng(3), np.arange(0, HOP + 200, 50)
+    amplitude = rng.uniform(0.0, 1.0, (len(at), CARRIERS.count))
+    for where in ([2000], [1, 2, 3, 2500], [*range(0, HOP, 7)], [*range(HOP)]):
+        place = 0.1 * np.arange(HOP + 2 * REACH) / 1e4
+        for each in where:
+            place[each + 1 :] += 1e3
+        knots = Knots(at - 60, amplitude)
+        found = texture_hop(knots, CARRIERS, 5, place, 0)
+        with plainly():
+            wanted = texture_hop(knots, CARRIERS, 5, place, 0)
+        assert np.std(found - wanted) < 1e-6 * np.std(wanted)
 
 
 def test_switched_off_numpy_does_the_work():

@@ -129,9 +129,9 @@ def test_octaves_are_read_as_the_carriers_are(alone, octave, first, stride):
     wanted = (amplitude * waves).sum(axis=0)
     with plainly() if alone else nullcontext():
         found = ARC.read(pair, np.array([octave]), at * CARRIERS.arc_step_m(octave))
-    assert np.sqrt(np.mean(np.square(found - wanted))) < 10 ** (-57 / 20) * np.sqrt(
-        np.square(pair[:, octave]).sum() / 2
-    )
+    # A hand that rests reads one place, where a carrier may stand at twice its level, and so may what is missed of it.
+    level = max(np.square(pair[:, octave]).sum() / 2, np.square(wanted).mean())
+    assert np.sqrt(np.mean(np.square(found - wanted))) < 10 ** (-57 / 20) * np.sqrt(level)
 
 
 ARC = LiveArc(CARRIERS, SEED)

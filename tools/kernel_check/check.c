@@ -20,7 +20,7 @@ static void *found(void *library, const char *name) { return dlsym(library, name
     if (!name##_) { printf("no %s\n", #name); return 1; }
 
 enum { COUNT = 300, BANDS = 9, CELLS = 64, LENGTH = 512, WAVES = 6, WIDEST = 20, ARC = 192, TOKEN = 7, STATES = 7,
-       ANGLES = 12, FEATURES = 7 };
+       ANGLES = 12, FEATURES = 7, HOP = 128, REACH = 8 };
 
 static uint64_t state = 88172645463325252u;
 
@@ -61,6 +61,8 @@ static double place[COUNT], level[COUNT], drawn[2 * COUNT], bins[2 * WAVES * WID
 static double wavelength[TOKEN], turn[4 * ANGLES], tokens[STATES * TOKEN * FEATURES], table[10 * ARC], rows[STATES * ARC];
 static double room[5 * ARC + (ANGLES + 5) * TOKEN], power[STATES * ARC], noise[STATES * ARC], normal[STATES];
 static double lines[4 * STATES * TOKEN], part[STATES], factor[STATES];
+static double path[HOP + 2 * REACH], hopped[HOP];
+static float half_band[8];
 static int64_t row[COUNT], below[ARC], nearest[ARC], shift[ANGLES], low[2 * STATES * TOKEN], at[STATES];
 static uint64_t radius[COUNT], angle[COUNT];
 static hnf_touch touch[STATES];
@@ -72,8 +74,8 @@ int main(int given, char **words)
         printf("the library does not load\n");
         return 1;
     }
-    FIND(hnf_abi) FIND(hnf_has_wide_vectors) FIND(hnf_faded) FIND(hnf_read_arc) FIND(hnf_linear_contact)
-    FIND(hnf_add_rows) FIND(hnf_bins) FIND(hnf_real_waves) FIND(hnf_complex_waves)
+    FIND(hnf_abi) FIND(hnf_has_wide_vectors) FIND(hnf_read_arc) FIND(hnf_linear_contact) FIND(hnf_add_rows)
+    FIND(hnf_bins) FIND(hnf_real_waves) FIND(hnf_complex_waves) FIND(hnf_plan_hop) FIND(hnf_hop) FIND(hnf_place)
     printf("version %d, wide vectors %d\n", (int)hnf_abi_(), (int)hnf_has_wide_vectors_());
 
     fill(amplitude, 5 * BANDS), fill(waves, BANDS * COUNT), fill(cubic, 16);
@@ -83,13 +85,31 @@ int main(int given, char **words)
         place[i] = (70.0 + 40.0 * sin(0.02 * i)) / 1000.0;
         radius[i] = word(), angle[i] = word(), level[i] = uniform();
     }
-    hnf_faded_(amplitude, BANDS, BANDS, waves, COUNT, row, share, out);
-    say_single("faded", out, COUNT);
     fill((float *)pieces, 4 * BANDS * CELLS);
     memset(out, 0, sizeof out);
     const hnf_complex *hops[2] = {pieces[0], pieces[1]};
     hnf_read_arc_(amplitude, BANDS, BANDS, hops, CELLS, 0, 1000.0, 0.09375, place, cubic, row, share, COUNT, scratch, out);
     say_single("read_arc", out, COUNT);
+
+    double states[5] = {0.1, 0.12, 0.12, 0.15, 0.1};
+    hnf_place_(states, 5, 20, REACH - 100, HOP + 2 * REACH, path);
+    say("place", path, HOP + 2 * REACH, 9);
+    int64_t margin[2] = {0, 4}, time_band[2] = {1, 0}, time_bands[2] = {1, 1}, when[4] = {-50, 10, 40, 300};
+    double cells_per_m[2] = {101.3, 203.7};
+    fill(half_band, 8);
+    hnf_carriers carriers = {HOP, REACH, 2, 0, 2, 2, 2, CELLS, 4, 1e4, 0.25, 4800.0, 50.0, 0.09375, margin, time_band,
+                             time_bands, cells_per_m, half_band, cubic};
+    hnf_knots knots = {when, amplitude, 4, BANDS};
+    hnf_reading readings[4];
+    int64_t found_readings = hnf_plan_hop_(&carriers, &knots, 0, path, 4, readings);
+    for (int i = 0; i < found_readings; i++) {
+        readings[i].piece = 0, readings[i].piece_cell = -8;
+        printf("reading %d %d %d %d %d %d\n", (int)readings[i].octave, (int)readings[i].level, (int)readings[i].start,
+               (int)readings[i].count, (int)readings[i].first_cell, (int)readings[i].last_cell);
+    }
+    const float *time_waves[2] = {waves, waves + COUNT};
+    hnf_hop_(&carriers, &knots, 0, path, time_waves, hops, readings, found_readings, room, hopped);
+    say("hop", hopped, HOP, 5);
 
     hnf_bins_(radius, angle, level, COUNT, drawn);
     say("bins", drawn, 2 * COUNT, 9);

@@ -15,20 +15,63 @@
 #endif
 
 /* Raised whenever a signature or a meaning changes; library.py asks. */
-#define HNF_ABI 1
+#define HNF_ABI 2
 
 typedef struct { float re, im; } hnf_complex;
+
+/* Samples from `at` on that lie between the same two knots: where they end. */
+static inline int64_t hnf_stretch_end(const int64_t *row, int64_t at, int64_t count)
+{
+    int64_t here = row[at];
+    do {
+        at++;
+    } while (at < count && row[at] == here);
+    return at;
+}
 
 HNF_EXPORT int64_t hnf_abi(void);
 HNF_EXPORT int64_t hnf_has_wide_vectors(void);
 
 /* texture.c */
-HNF_EXPORT void hnf_faded(const float *amplitude, int64_t stride, int64_t bands, const float *waves, int64_t count,
-                          const int64_t *row, const float *share, float *out);
 HNF_EXPORT void hnf_read_arc(const float *amplitude, int64_t stride, int64_t bands, const hnf_complex *const *hops,
                              int64_t hop_cells, int64_t first_cell, double cells_per_m, double turns_per_cell,
                              const double *place, const float *cubic, const int64_t *row, const float *share,
                              int64_t count, float *scratch, float *out);
+
+/* hop.c */
+
+/* What no stroke changes of the carriers and of the pieces that are kept of them (hnf_core/field/hops.py). */
+typedef struct {
+    int64_t hop, reach;                      /* samples of a hop, and those about it that it is made from */
+    int64_t levels;                          /* rates: each half of the one before */
+    int64_t time_first, arc_first;           /* first column of either family in a row of amplitudes */
+    int64_t octaves, bands, piece_cells;     /* of arc length: bands in each, cells of a piece */
+    int64_t taps;                            /* on either side of a reading halfway between two samples */
+    double rate, highest, band_end;          /* Hz; the highest frequency over its rate; Hz where nothing sounds */
+    double lowest, turns;                    /* cycles/m with which octaves begin; turns that a cell has lost */
+    const int64_t *margin;                   /* (levels,) samples before and after a hop */
+    const int64_t *time_band, *time_bands;   /* (levels,) first carrier in time kept there, and how many */
+    const double *cells_per_m;               /* (octaves,) */
+    const float *half_band;                  /* (2 taps,) */
+    const float *cubic;                      /* (4, 4) per cell that is read, powers of the way to the next */
+} hnf_carriers;
+
+/* at: (count,) ascending samples; rows of amplitudes there, stride apart, linear between. */
+typedef struct {
+    const int64_t *at;
+    const float *amplitude;
+    int64_t count, stride;
+} hnf_knots;
+
+/* Every (1 << level)-th sample from start on, at which an octave is read; the cells that are read, and where the
+ * caller put them: the first of its pieces, and the cell with which that begins. */
+typedef struct { int64_t octave, level, start, count, first_cell, last_cell, piece, piece_cell; } hnf_reading;
+
+HNF_EXPORT int64_t hnf_plan_hop(const hnf_carriers *carriers, const hnf_knots *knots, int64_t first,
+                                const double *place, int64_t room, hnf_reading *out);
+HNF_EXPORT void hnf_hop(const hnf_carriers *carriers, const hnf_knots *knots, int64_t first, const double *place,
+                        const float *const *time_waves, const hnf_complex *const *pieces, const hnf_reading *readings,
+                        int64_t count, double *scratch, double *out);
 
 /* contact.c */
 typedef struct {
@@ -56,6 +99,10 @@ typedef struct {
 
 HNF_EXPORT void hnf_linear_contact(const hnf_tables *tables, const double *tokens, int64_t token_size,
                                    const hnf_touch *touch, int64_t states, double *scratch, const hnf_contact *out);
+
+/* place.c */
+HNF_EXPORT void hnf_place(const double *position, int64_t states, int64_t samples_per_state, int64_t start,
+                          int64_t count, double *out);
 
 /* rows.c */
 HNF_EXPORT void hnf_add_rows(const double *values, int64_t width, const int64_t *row, const double *share,

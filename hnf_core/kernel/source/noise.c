@@ -2,7 +2,7 @@
  * (hnf_core/field/band_waves.py). */
 #include <math.h>
 
-#include "hnf_kernel.h"
+#include "sums.h"
 
 #define TILE 32
 #define TWO_PI 6.283185307179586476925
@@ -22,9 +22,6 @@ void hnf_bins(const uint64_t *radius, const uint64_t *angle, const double *level
     }
 }
 
-/* Eight numbers at once, whatever the processor's own vectors are. */
-typedef float lanes __attribute__((vector_size(32), aligned(4)));
-#define LANES 8
 #define PARTS (TILE / LANES)
 
 typedef struct { lanes re[PARTS], im[PARTS]; } tile;

@@ -1,44 +1,9 @@
-/* The carriers, modulated: the twins of _faded and _in_arc in hnf_core/field/texture.py. */
+/* The carriers in arc length, modulated: the twin of _in_arc in hnf_core/field/texture.py. */
 #include <math.h>
-#include <string.h>
 
-#include "hnf_kernel.h"
+#include "sums.h"
 
 #define TILE 64
-
-/* Samples from `at` on that lie between the same two knots: where they end. */
-static int64_t stretch_end(const int64_t *row, int64_t at, int64_t count)
-{
-    int64_t here = row[at];
-    do {
-        at++;
-    } while (at < count && row[at] == here);
-    return at;
-}
-
-/* Sum over bands of A_k(t) c_k(t), A linear between knots. waves: (bands, count). */
-void hnf_faded(const float *amplitude, int64_t stride, int64_t bands, const float *waves, int64_t count,
-               const int64_t *row, const float *share, float *out)
-{
-    for (int64_t low = 0, high; low < count; low = high) {
-        high = stretch_end(row, low, count);
-        const float *before = amplitude + row[low] * stride, *after = before + stride;
-        for (int64_t at = low; at < high; at += TILE) {
-            int64_t many = high - at < TILE ? high - at : TILE;
-            float here[TILE] = {0}, next[TILE] = {0};
-            for (int64_t band = 0; band < bands; band++) {
-                const float *wave = waves + band * count + at;
-                float a = before[band], b = after[band];
-                for (int64_t j = 0; j < many; j++) {
-                    here[j] += a * wave[j];
-                    next[j] += b * wave[j];
-                }
-            }
-            for (int64_t j = 0; j < many; j++)
-                out[at + j] = here[j] + share[at + j] * (next[j] - here[j]);
-        }
-    }
-}
 
 /* sin 2 pi x for |x| <= 1/4, by its series: what is left out is 6e-8. */
 static inline float sine_of_turn(float x)
@@ -58,21 +23,13 @@ static inline float sine(float x)
 
 /* Bands summed on cells `begin` ... `begin + width - 1`, with the amplitudes at the knot before and at the one after. */
 static void summed(const float *before, const float *after, int64_t bands, const hnf_complex *const *hops,
-                   int64_t hop_cells, int64_t begin, int64_t width, float *restrict here, float *restrict next)
+                   int64_t hop_cells, int64_t begin, int64_t width, float *here, float *next)
 {
-    memset(here, 0, (size_t)width * sizeof(hnf_complex));
-    memset(next, 0, (size_t)width * sizeof(hnf_complex));
     for (int64_t at = 0; at < width;) {
         int64_t hop = (begin + at) / hop_cells, inside = (begin + at) % hop_cells;
         int64_t many = hop_cells - inside < width - at ? hop_cells - inside : width - at;
-        for (int64_t band = 0; band < bands; band++) {
-            const float *wave = (const float *)(hops[hop] + band * hop_cells + inside);
-            float a = before[band], b = after[band];
-            for (int64_t j = 0; j < 2 * many; j++) {
-                here[2 * at + j] += a * wave[j];
-                next[2 * at + j] += b * wave[j];
-            }
-        }
+        sum_rows(before, after, bands, (const float *)(hops[hop] + inside), 2 * hop_cells, 2 * many, here + 2 * at,
+                 next + 2 * at);
         at += many;
     }
 }
@@ -87,8 +44,12 @@ void hnf_read_arc(const float *amplitude, int64_t stride, int64_t bands, const h
                   const double *place, const float *cubic, const int64_t *row, const float *share, int64_t count,
                   float *scratch, float *out)
 {
+    lanes power[4];
+    for (int tap = 0; tap < 4; tap++)
+        for (int p = 0; p < 4; p++)
+            power[p][2 * tap] = power[p][2 * tap + 1] = cubic[4 * tap + p];
     for (int64_t low = 0, high; low < count; low = high) {
-        high = stretch_end(row, low, count);
+        high = hnf_stretch_end(row, low, count);
         double least = place[low], most = place[low];
         for (int64_t j = low + 1; j < high; j++) {
             least = place[j] < least ? place[j] : least;
@@ -109,20 +70,17 @@ void hnf_read_arc(const float *amplitude, int64_t stride, int64_t bands, const h
                 cell[j] = (int32_t)((int64_t)whole - 1 - begin);
                 turn[j] = (float)(turns - floor(turns));
             }
+            float re[TILE], im[TILE];
             for (int64_t j = 0; j < many; j++) {
-                const float *h = here + 2 * cell[j], *n = next + 2 * cell[j];
-                float hre = 0.0f, him = 0.0f, nre = 0.0f, nim = 0.0f;
-                for (int tap = 0; tap < 4; tap++) {
-                    const float *power = cubic + 4 * tap;
-                    float weight = ((power[3] * t[j] + power[2]) * t[j] + power[1]) * t[j] + power[0];
-                    hre += weight * h[2 * tap];
-                    him += weight * h[2 * tap + 1];
-                    nre += weight * n[2 * tap];
-                    nim += weight * n[2 * tap + 1];
-                }
-                float re = hre + share[at + j] * (nre - hre), im = him + share[at + j] * (nim - him);
-                out[at + j] += re * sine(turn[j] + 0.25f) - im * sine(turn[j]);
+                /* Four complex cells at once, on the way from one knot's sums to the other's. */
+                lanes h = *(const lanes *)(here + 2 * cell[j]), n = *(const lanes *)(next + 2 * cell[j]);
+                lanes weight = ((power[3] * t[j] + power[2]) * t[j] + power[1]) * t[j] + power[0];
+                lanes read = weight * (h + share[at + j] * (n - h));
+                re[j] = (read[0] + read[4]) + (read[2] + read[6]);
+                im[j] = (read[1] + read[5]) + (read[3] + read[7]);
             }
+            for (int64_t j = 0; j < many; j++)
+                out[at + j] += re[j] * sine(turn[j] + 0.25f) - im[j] * sine(turn[j]);
         }
     }
 }

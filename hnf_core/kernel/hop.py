@@ -1,0 +1,159 @@
+"""Compiled: a hop of the carriers, modulated (its twin in numpy is texture_hop in field/texture.py), and where the hand
+is between states (position_beyond in field/plain.py)."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .library import address, pointers, rows
+from .texture import Piece
+
+Float = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Integers = NDArray[np.int64]
+
+_COUNTS = ("hop", "reach", "levels", "time_first", "arc_first", "octaves", "bands", "piece_cells", "taps")
+_NUMBERS = ("rate", "highest", "band_end", "lowest", "turns")
+_ARRAYS = ("margin", "time_band", "time_bands", "cells_per_m", "half_band", "cubic")
+_MOST_LEVELS = 8
+_READING = 8
+"""Numbers of an hnf_reading."""
+_FIRST_CELL, _LAST_CELL, _PIECE = 4, 5, 6
+_ROOM = 64
+"""Readings that are expected: one for each octave where a hand does not jump."""
+
+
+class _Struct(ctypes.Structure):
+    _fields_ = (
+        *((name, ctypes.c_int64) for name in _COUNTS),
+        *((name, ctypes.c_double) for name in _NUMBERS),
+        *((name, ctypes.c_void_p) for name in _ARRAYS),
+    )
+
+
+class _Knots(ctypes.Structure):
+    _fields_ = (
+        ("at", ctypes.c_void_p), ("amplitude", ctypes.c_void_p), ("count", ctypes.c_int64), ("stride", ctypes.c_int64),
+    )  # fmt: skip
+
+
+class HopTables:
+    """What no stroke changes, as hnf_carriers in hnf_kernel.h; its arrays stay where they are.
+
+    margin, time_band, time_bands: (levels,); cells_per_m: (octaves,); half_band: (2 taps,); cubic: (4, 4); scalars by
+    their names. Raises ValueError where they do not fit together.
+    """
+
+    def __init__(
+        self, *, margin: Integers, time_band: Integers, time_bands: Integers, cells_per_m: Float, half_band: Float32,
+        cubic: Float32, **numbers: float,
+    ) -> None:  # fmt: skip
+        arrays = (margin, time_band, time_bands, cells_per_m, half_band, cubic)
+        wanted: Sequence[Any] = (np.int64, np.int64, np.int64, np.float64, np.float32, np.float32)
+        self._kept = [np.ascontiguousarray(each, dtype=kind) for each, kind in zip(arrays, wanted, strict=True)]
+        self.levels, self.octaves = len(margin), len(cells_per_m)
+        given = {"levels": self.levels, "octaves": self.octaves, "taps": len(half_band) // 2, **numbers}
+        self.hop, self.reach = int(numbers["hop"]), int(numbers["reach"])
+        self.bands, self.piece_cells = int(numbers["bands"]), int(numbers["piece_cells"])
+        self.time_bands = time_bands.tolist()
+        self.kept = [(self.hop >> level) + 2 * int(each) for level, each in enumerate(margin)]
+        fits = 0 < self.levels <= _MOST_LEVELS and len(time_band) == len(time_bands) == self.levels
+        # The filter that doubles a rate looks this far beyond what the next one keeps; the hop halves evenly.
+        fits &= self.hop % (1 << self.levels) == 0 and cubic.shape == (4, 4) and len(half_band) % 2 == 0
+        fits &= all(
+            low >= high // 2 + len(half_band) // 2 and high % 2 == 0
+            for high, low in zip(margin[:-1].tolist(), margin[1:].tolist(), strict=True)
+        )
+        fits &= all(int(each) << level <= self.reach for level, each in enumerate(margin))
+        if not fits:
+            raise ValueError(f"a hop of {self.hop} samples at {self.levels} rates with margins {margin.tolist()}")
+        self.columns = max(
+            int(numbers["arc_first"]) + self.octaves * self.bands,
+            int(numbers["time_first"]) + int((time_band + time_bands).max(initial=0)),
+        )
+        self.struct = _Struct(
+            *(int(given[name]) for name in _COUNTS), *(given[name] for name in _NUMBERS),
+            *(each.__array_interface__["data"][0] for each in self._kept),
+        )  # fmt: skip
+
+
+def hop(
+    kernel: ctypes.CDLL, tables: HopTables, at: Integers, amplitude: Float32, first: int, place: Float,
+    waves: Sequence[Float32] | None, piece: Callable[[int, int], Piece],
+) -> Float:  # fmt: skip
+    """(hop,) Σ_k A_k c_k from sample `first` on.
+
+    at: (m,) ascending; amplitude: (m, K) there. place: (reach + hop + reach,) s [m]. waves: per level (bands, samples)
+    of the carriers in time; None where they are silent. piece: (octave, number) → its cells. Raises ValueError where
+    these do not fit, or a place is not finite.
+    """
+    least, most = float(place.min()), float(place.max())
+    if not math.isfinite(least + most):
+        raise ValueError(f"places from {least} to {most} m")
+    if len(place) != tables.hop + 2 * tables.reach or not 2 <= len(at) == len(amplitude):
+        raise ValueError(f"{len(place)} places, {len(at)} knots and {len(amplitude)} rows of amplitudes")
+    if amplitude.shape[1] < tables.columns:
+        raise ValueError(f"amplitudes of {amplitude.shape[1]} carriers, of which {tables.columns} are read")
+    knots = _Knots(address(at, np.int64), *_of_rows(amplitude))
+    given = ctypes.byref(tables.struct), ctypes.byref(knots), first, address(place, np.float64)
+    readings, table = _readings(kernel, given, tables, piece)
+    cells = int((readings[:, _LAST_CELL] - readings[:, _FIRST_CELL]).max(initial=0)) + 1
+    scratch, out = np.empty(3 * sum(tables.kept) + 2 * cells), np.empty(tables.hop)
+    kernel.hnf_hop(
+        *given, None if waves is None else _waves(tables, waves), pointers([each.address for each in table]),
+        address(readings, np.int64), len(readings), address(scratch, np.float64), address(out, np.float64),
+    )  # fmt: skip
+    return out
+
+
+def _readings(
+    kernel: ctypes.CDLL, given: tuple[Any, ...], tables: HopTables, piece: Callable[[int, int], Piece]
+) -> tuple[Integers, list[Piece]]:
+    room = _ROOM
+    while True:
+        readings = np.empty((room, _READING), dtype=np.int64)
+        count = int(kernel.hnf_plan_hop(*given, room, address(readings, np.int64)))
+        if count <= room:
+            break
+        room = count
+    readings, cells = readings[:count], tables.piece_cells
+    table: list[Piece] = []
+    numbered: dict[tuple[int, int], Piece] = {}
+    for reading, (octave, first, last) in enumerate(readings[:, [0, _FIRST_CELL, _LAST_CELL]].tolist()):
+        readings[reading, _PIECE:] = len(table), first // cells * cells
+        for number in range(first // cells, last // cells + 1):
+            found = numbered.get((octave, number)) or piece(octave, number)
+            if found.waves.shape != (tables.bands, cells):
+                raise ValueError(f"a piece of {found.waves.shape} where {tables.bands} bands of {cells} cells are read")
+            numbered[octave, number] = found
+            table.append(found)
+    return readings, table
+
+
+def _waves(tables: HopTables, waves: Sequence[Float32]) -> bytes:
+    shapes = [each.shape for each in waves]
+    if shapes != list(zip(tables.time_bands, tables.kept, strict=True)):
+        raise ValueError(f"carriers in time of {shapes}")
+    return pointers([address(each, np.float32) for each in waves])
+
+
+def _of_rows(amplitude: Float32) -> tuple[int, int, int]:
+    begin, stride = rows(amplitude)
+    return begin, len(amplitude), stride
+
+
+def place(kernel: ctypes.CDLL, position: Float, samples_per_state: int, start: int, count: int) -> Float:
+    """s(t) [m] (count,) from sample start on, of position (n,) at states. Raises ValueError for fewer than two."""
+    if len(position) < 2:
+        raise ValueError(f"a path of {len(position)} states")
+    out = np.empty(count)
+    kernel.hnf_place(
+        address(position, np.float64), len(position), samples_per_state, start, count, address(out, np.float64)
+    )
+    return out
