@@ -1,13 +1,15 @@
 """Noise bands as waves: each is a few bins of a long period, so a product of matrices makes it for less than a
 transform that is mostly zeros.
 
-A band's bins k₀ … k₀ + W − 1 are an envelope, W slow turns that are the same for every band and carry the window, on a
-turn at k₀. What is broad is left to the inverse FFT.
+A band's bins k₀ … k₀ + W − 1 are an envelope, W slow turns that are the same for every band, on a turn at k₀. Turns at
+n and at −n have the same cosine and opposite sines: half of the samples say the rest. What is broad is left to the
+inverse FFT.
 """
 
 from __future__ import annotations
 
-from functools import lru_cache
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,74 +27,97 @@ WIDEST = 32
 """Bins of a band up to which a product is the faster."""
 
 
-def real_waves(bins: Complex, starts: Starts, size: int, window: Float) -> Float32:
-    """2 Re Σ_k X_k e^{2πikn/size} of each of B bands, times window (size,); (B, size).
+@dataclass(frozen=True, eq=False)
+class WavePlan:
+    """What does not change from block to block.
 
-    bins: (Σ W,) X of the bands one after another. starts: (B + 1,) first bin of each, and of what follows the last;
-    every bin lies between 0 and size / 2.
+    starts: (B + 1,) first bin of each band, and of what follows the last. window: (size,). narrow, broad: bands that
+    are a product and those that are a transform. slow: (2W, size / 2 + 1) cosines of 0 … W − 1 turns, then sines.
+    turns: cosine and sine (narrow, size / 2 + 1) of first bins.
     """
-    out = np.empty((len(starts) - 1, size), dtype=np.float32)
-    narrow = np.diff(starts) <= WIDEST
+
+    starts: Starts
+    window: Float32
+    narrow: Starts
+    broad: Starts
+    slow: Float32
+    turns: tuple[Float32, Float32]
+
+    @property
+    def size(self) -> int:
+        return len(self.window)
+
+
+def wave_plan(starts: Starts, window: Float, middle: int = 0) -> WavePlan:
+    """Of bands that are turned back by `middle` turns a period; window: (size,)."""
+    width, size = np.diff(starts), len(window)
+    narrow, broad = np.flatnonzero(width <= WIDEST), np.flatnonzero(width > WIDEST)
+    slow = _turns(np.arange(int(width[narrow].max(initial=0))), size)
+    return WavePlan(
+        np.ascontiguousarray(starts, dtype=np.int64), window.astype(np.float32), narrow, broad, np.concatenate(slow),
+        _turns(starts[narrow] - middle, size),
+    )  # fmt: skip
+
+
+def real_waves(bins: Complex, plan: WavePlan) -> Float32:
+    """2 Re Σ_k X_k e^{2πikn/size} of each of B bands, times the window; (B, size).
+
+    bins: (Σ W,) X of the bands one after another; every bin lies between 0 and size / 2.
+    """
+    out = np.empty((len(plan.starts) - 1, plan.size), dtype=np.float32)
     compiled = kernel()
-    if narrow.any() and compiled is not None and size % TILE == 0:
-        which = np.flatnonzero(narrow)
-        slow = _slow_turns(int(np.diff(starts)[which].max()), window.tobytes(), size)
-        kernel_noise.real_waves(compiled, bins, starts, which, slow, _turns(tuple(starts[which].tolist()), size), out)
-    elif narrow.any():
-        first = starts[:-1][narrow]
-        real, imaginary = _envelopes(2.0 * _padded(bins, starts, narrow), window.tobytes(), size)
-        cosine, sine = _turns(tuple(first.tolist()), size)
-        real *= cosine
-        imaginary *= sine
-        out[narrow] = np.subtract(real, imaginary, out=real)
-    for band in np.flatnonzero(~narrow):
-        spectrum = np.zeros(size // 2 + 1, dtype=np.complex128)
-        spectrum[starts[band] : starts[band + 1]] = bins[starts[band] - starts[0] : starts[band + 1] - starts[0]]
-        out[band] = np.fft.irfft(spectrum, size) * (size * window)
+    if len(plan.narrow) and compiled is not None and plan.size % TILE == 0:
+        given = plan.starts, plan.narrow, plan.slow, plan.turns, plan.window
+        kernel_noise.real_waves(compiled, bins, *given, out)
+    elif len(plan.narrow):
+        cosine, sine = plan.turns
+        ahead, back = _envelopes(2.0 * _padded(bins, plan), plan.slow)
+        out[plan.narrow] = plan.window * _whole(
+            ahead.real * cosine - ahead.imag * sine, back.real * cosine + back.imag * sine
+        )
+    if len(plan.broad):
+        spectra = np.zeros((len(plan.broad), plan.size // 2 + 1), dtype=np.complex128)
+        for spectrum, band in zip(spectra, plan.broad, strict=True):
+            low, high = plan.starts[band], plan.starts[band + 1]
+            spectrum[low:high] = bins[low - plan.starts[0] : high - plan.starts[0]]
+        out[plan.broad] = np.fft.irfft(spectra, plan.size) * (plan.size * plan.window.astype(np.float64))
     return out
 
 
-def complex_waves(bins: Complex, starts: Starts, middle: int, size: int, window: Float) -> NDArray[np.complex64]:
-    """Σ_k X_k e^{2πi(k − middle)n/size} of each of B bands of at most WIDEST bins, times window (size,); (B, size)."""
+def complex_waves(bins: Complex, plan: WavePlan) -> NDArray[np.complex64]:
+    """Σ_k X_k e^{2πi(k − middle)n/size} of each of B bands of at most WIDEST bins, times the window; (B, size)."""
     compiled = kernel()
-    if compiled is not None and size % TILE == 0:
-        slow = _slow_turns(int(np.diff(starts).max()), window.tobytes(), size)
-        turns = _turns(tuple((starts[:-1] - middle).tolist()), size)
-        return kernel_noise.complex_waves(compiled, bins, starts, slow, turns)
-    every = np.ones(len(starts) - 1, dtype=np.bool_)
-    real, imaginary = _envelopes(_padded(bins, starts, every), window.tobytes(), size)
-    cosine, sine = _turns(tuple((starts[:-1] - middle).tolist()), size)
-    out = np.empty((len(real), size), dtype=np.complex64)
-    np.subtract(real * cosine, imaginary * sine, out=out.real)
-    np.add(real * sine, imaginary * cosine, out=out.imag)
-    return out
+    if compiled is not None and plan.size % TILE == 0:
+        return kernel_noise.complex_waves(compiled, bins, plan.starts, plan.slow, plan.turns, plan.window)
+    turn = plan.turns[0] + 1j * plan.turns[1]
+    ahead, back = _envelopes(_padded(bins, plan), plan.slow)
+    return np.asarray(plan.window * _whole(ahead * turn, back * turn.conj()), dtype=np.complex64)
 
 
-def _padded(bins: Complex, starts: Starts, which: NDArray[np.bool_]) -> Complex:
-    """(bands in which, W) their bins, then zeros; W: of the widest."""
-    width = np.diff(starts)[which, None]
-    at = (starts[:-1] - starts[0])[which, None] + np.arange(width.max())
-    inside = np.arange(width.max()) < width
+def _padded(bins: Complex, plan: WavePlan) -> Complex:
+    """(narrow, W) their bins, then zeros; W: of the widest."""
+    width = np.diff(plan.starts)[plan.narrow, None]
+    at = (plan.starts[:-1] - plan.starts[0])[plan.narrow, None] + np.arange(len(plan.slow) // 2)
+    inside = np.arange(len(plan.slow) // 2) < width
     return np.where(inside, bins[np.minimum(at, len(bins) - 1)], 0.0)
 
 
-def _envelopes(bins: Complex, window: bytes, size: int) -> tuple[Float32, Float32]:
-    """Real and imaginary part (B, size) of Σ_w bins (B, W) e^{2πiwn/size} · window."""
-    both = np.concatenate([np.stack([bins.real, -bins.imag], 1), np.stack([bins.imag, bins.real], 1)])
-    envelope = both.reshape(2 * len(bins), -1).astype(np.float32) @ _slow_turns(bins.shape[1], window, size)
-    return envelope[: len(bins)], envelope[len(bins) :]
+def _envelopes(bins: Complex, slow: Float32) -> tuple[NDArray[np.complex64], NDArray[np.complex64]]:
+    """Σ_w bins (B, W) e^{±2πiwn/size} at n = 0 … size / 2, with either sign."""
+    cosine, sine = slow[: len(slow) // 2], slow[len(slow) // 2 :]
+    both = np.concatenate([bins.real, bins.imag]).astype(np.float32)
+    even, odd = both @ cosine, both @ sine
+    x, y = even[: len(bins)] + 1j * even[len(bins) :], 1j * odd[: len(bins)] - odd[len(bins) :]
+    return x + y, x - y
 
 
-@lru_cache(maxsize=8)
-def _slow_turns(count: int, window: bytes, size: int) -> Float32:
-    """(2 · count, size): cosines, then sines, under the window."""
-    cosine, sine = _turns(tuple(range(count)), size)
-    return np.asarray(np.concatenate([cosine, sine]) * np.frombuffer(window), dtype=np.float32)
+def _whole(ahead: NDArray[Any], back: NDArray[Any]) -> NDArray[Any]:
+    """(B, size) of samples n and −n, n = 0 … size / 2."""
+    return np.concatenate([ahead, back[:, -2:0:-1]], axis=1)
 
 
-@lru_cache(maxsize=16)
-def _turns(wavenumbers: tuple[int, ...], size: int) -> tuple[Float32, Float32]:
-    """cos and sin of 2πkn/size, (B, size), from one period of each."""
+def _turns(wavenumbers: Starts, size: int) -> tuple[Float32, Float32]:
+    """cos and sin of 2πkn/size, (B, size / 2 + 1), from one period of each."""
     angle = 2.0 * np.pi * np.arange(size) / size
-    at = np.multiply.outer(np.array(wavenumbers), np.arange(size)) % size
+    at = np.multiply.outer(wavenumbers, np.arange(size // 2 + 1)) % size
     return np.cos(angle).astype(np.float32)[at], np.sin(angle).astype(np.float32)[at]

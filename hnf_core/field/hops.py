@@ -9,17 +9,15 @@ computable alone, and equal to the carriers' own waves (carriers.time_samples, c
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .band_waves import complex_waves, real_waves
+from .band_waves import WavePlan, complex_waves, real_waves, wave_plan
 from .carriers import ARC_BLOCK, ARC_PER_OCTAVE, ARC_STREAM, MODEL_RATE_HZ, TIME_BLOCK, Carriers
-from .noise import band_bins, crossfade_window
+from .noise import Bins, band_bins, bins_of, crossfade_window
 
 Float32 = NDArray[np.float32]
-Number = TypeVar("Number", np.float32, np.complex64)
 
 HOP = TIME_BLOCK // 2
 """Samples of the model rate in a hop of time carriers."""
@@ -59,60 +57,64 @@ def time_levels(carriers: Carriers) -> tuple[slice, ...]:
 @lru_cache(maxsize=KEPT_TIME_HOPS)
 def time_hop(carriers: Carriers, seed: int, hop: int) -> tuple[Float32, ...]:
     """At each level its carriers, (bands, MARGINS[level] + HOP / 2^level + MARGINS[level])."""
-    blocks = [_time_block(carriers, seed, hop + shift) for shift in (-2, -1, 0, 1)]
-    kept = []
-    for level, margin in enumerate(MARGINS):
-        one, two, three, four = (block[level] for block in blocks)
-        here = _last(two) + _first(three)
-        if margin:
-            before = _last(one)[:, -margin:] + _first(two)[:, -margin:]
-            after = _last(three)[:, :margin] + _first(four)[:, :margin]
-            here = np.concatenate([before, here, after], axis=1)
-        kept.append(_kept(here))
-    return tuple(kept)
+    one, two, three, four = (_time_block(carriers, seed, hop + shift) for shift in (-2, -1, 0, 1))
+    return tuple(
+        _joined(one[level], two[level], three[level], four[level], margin) for level, margin in enumerate(MARGINS)
+    )
+
+
+def _joined(one: Float32, two: Float32, three: Float32, four: Float32, margin: int) -> Float32:
+    """Where block three fades in over block two, and `margin` samples on either side."""
+    half = two.shape[1] // 2
+    out = np.empty((len(two), half + 2 * margin), dtype=np.float32)
+    np.add(two[:, half:], three[:, :half], out=out[:, margin : margin + half])
+    if margin:
+        np.add(one[:, -margin:], two[:, half - margin : half], out=out[:, :margin])
+        np.add(three[:, half : half + margin], four[:, :margin], out=out[:, -margin:])
+    out.setflags(write=False)
+    return out
 
 
 @lru_cache(maxsize=KEPT_ARC_HOPS)
 def arc_hop(carriers: Carriers, seed: int, octave: int, hop: int) -> NDArray[np.complex64]:
     """(24, ARC_HOP) of one octave, at s = (hop · ARC_HOP + j) · CELL · arc_step_m(octave)."""
-    return _kept(_last(_arc_block(carriers, seed, octave, hop - 1)) + _first(_arc_block(carriers, seed, octave, hop)))
+    before, after = (_arc_block(carriers, seed, octave, block) for block in (hop - 1, hop))
+    waves = before[:, ARC_HOP:] + after[:, :ARC_HOP]
+    waves.setflags(write=False)
+    return waves
 
 
 @lru_cache(maxsize=4)
 def _time_block(carriers: Carriers, seed: int, block: int) -> tuple[Float32, ...]:
-    edges = carriers.time_edges() * (TIME_BLOCK / MODEL_RATE_HZ)
-    bins, starts = band_bins(seed, 0, block, edges, TIME_BLOCK)
-    waves = []
-    for level, bands in enumerate(time_levels(carriers)):
-        own = starts[bands.start : bands.stop + 1]
-        inside = bins[own[0] - starts[0] : own[-1] - starts[0]] if len(own) > 1 else bins[:0]
-        waves.append(real_waves(inside, own, TIME_BLOCK >> level, _window(TIME_BLOCK, 1 << level)))
-    return tuple(waves)
+    bins, plans = _time_plans(carriers)
+    drawn, begin = band_bins(seed, 0, block, bins), bins.starts[0]
+    return tuple(real_waves(drawn[plan.starts[0] - begin : plan.starts[-1] - begin], plan) for plan in plans)
 
 
 @lru_cache(maxsize=32)  # of eight octaves the two or three that a hop meets
 def _arc_block(carriers: Carriers, seed: int, octave: int, block: int) -> NDArray[np.complex64]:
+    bins, plan = _arc_plan(carriers, octave)
+    return complex_waves(2.0 * band_bins(seed, ARC_STREAM + octave, block, bins), plan)
+
+
+@lru_cache(maxsize=4)
+def _time_plans(carriers: Carriers) -> tuple[Bins, tuple[WavePlan, ...]]:
+    """Of each level."""
+    bins = bins_of(carriers.time_edges() * (TIME_BLOCK / MODEL_RATE_HZ), TIME_BLOCK)
+    return bins, tuple(
+        wave_plan(bins.starts[bands.start : bands.stop + 1], _window(TIME_BLOCK, 1 << level))
+        for level, bands in enumerate(time_levels(carriers))
+    )
+
+
+@lru_cache(maxsize=32)
+def _arc_plan(carriers: Carriers, octave: int) -> tuple[Bins, WavePlan]:
     first = octave * ARC_PER_OCTAVE
     edges = carriers.arc_edges()[first : first + ARC_PER_OCTAVE + 1] * (carriers.arc_step_m(octave) * ARC_BLOCK)
-    bins, starts = band_bins(seed, ARC_STREAM + octave, block, edges, ARC_BLOCK)
-    return complex_waves(2.0 * bins, starts, MIDDLE, ARC_CELLS, _window(ARC_BLOCK, CELL))
+    bins = bins_of(edges, ARC_BLOCK)
+    return bins, wave_plan(bins.starts, _window(ARC_BLOCK, CELL), MIDDLE)
 
 
-@lru_cache(maxsize=8)
 def _window(size: int, step: int) -> NDArray[np.float64]:
     """Every step-th sample of the fade of a block, over the block's length."""
     return crossfade_window(size)[::step] / size
-
-
-def _first(waves: NDArray[Number]) -> NDArray[Number]:
-    return waves[:, : waves.shape[1] // 2]
-
-
-def _last(waves: NDArray[Number]) -> NDArray[Number]:
-    return waves[:, waves.shape[1] // 2 :]
-
-
-def _kept(waves: NDArray[Number]) -> NDArray[Number]:
-    waves = np.ascontiguousarray(waves)
-    waves.setflags(write=False)
-    return waves

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -48,42 +49,53 @@ def _polar(
     return np.sqrt(-2.0 * np.log(radius)), 2.0 * np.pi * angle
 
 
+@dataclass(frozen=True, eq=False)
+class Bins:
+    """The bins of a period of size samples that bands hold. starts: (B + 1,) the first of each, and of what follows the
+    last. level: (Σ W,) of each bin, so that every band is of unit expected power."""
+
+    starts: NDArray[np.intp]
+    level: NDArray[np.float64]
+    size: int
+
+
+def bins_of(edges: NDArray[np.float64], size: int) -> Bins:
+    """edges: (B + 1,) ascending band edges in cycles per period; a bin belongs to the band that holds it, bins outside
+    to none. Raises ValueError where a band is narrower than the period resolves."""
+    starts = first_bins(edges, size)
+    widths = np.diff(starts)
+    # Each of n bins is complex normal of variance 2, mirrored: the period's mean power is 4 n / size².
+    return Bins(starts, np.repeat(size / np.sqrt(4.0 * widths), widths), size)
+
+
 def band_spectra(seed: int, stream: int, block: int, edges: NDArray[np.float64], size: int) -> NDArray[np.complex128]:
     """rfft spectra (B, size // 2 + 1) of B noise bands, each of unit expected power over a period of size samples.
 
-    edges: (B + 1,) ascending band edges in cycles per period; a bin belongs to the band that holds it, bins outside
-    to none. Disjoint bands take their numbers from one white spectrum, so they are independent. Raises ValueError
-    where a band is narrower than the period resolves.
+    Disjoint bands take their numbers from one white spectrum, so they are independent. edges, errors: as in bins_of.
     """
-    bins, starts = band_bins(seed, stream, block, edges, size)
+    bins = bins_of(edges, size)
+    drawn, starts = band_bins(seed, stream, block, bins), bins.starts
     spectra = np.zeros((len(edges) - 1, size // 2 + 1), dtype=np.complex128)
     for band, (low, high) in enumerate(pairwise(starts.tolist())):
-        spectra[band, low:high] = bins[low - starts[0] : high - starts[0]]
+        spectra[band, low:high] = drawn[low - starts[0] : high - starts[0]]
     return spectra
 
 
-def band_bins(
-    seed: int, stream: int, block: int, edges: NDArray[np.float64], size: int
-) -> tuple[NDArray[np.complex128], NDArray[np.intp]]:
-    """The bins of band_spectra that are not zero, one band after another, and the first bin of each band and of what
-    follows the last, (B + 1,). Numbers that no band holds are not drawn."""
-    starts = first_bins(edges, size)
-    widths, count = np.diff(starts), size // 2 + 1
-    # Each of n bins is complex normal of variance 2, mirrored: the period's mean power is 4 n / size².
-    level, drawn = np.repeat(size / np.sqrt(4.0 * widths), widths), slice(int(starts[0]), int(starts[-1]))
+def band_bins(seed: int, stream: int, block: int, bins: Bins) -> NDArray[np.complex128]:
+    """(Σ W,) the bins of band_spectra that are not zero, one band after another. Numbers that no band holds are not
+    drawn."""
+    first, last, pairs = int(bins.starts[0]), int(bins.starts[-1]), bins.size // 2 + 1
     compiled = kernel()
     if compiled is not None:
-        near = _words(seed, stream, block, drawn.start, drawn.stop)
-        far = _words(seed, stream, block, count + drawn.start, count + drawn.stop)
-        return kernel_noise.bins(compiled, near, far, level), starts
-    radius, angle = _polar(seed, stream, block, count, drawn)
-    bins = np.empty(len(radius), dtype=np.complex128)
-    bins.real, bins.imag = radius * level * np.cos(angle), radius * level * np.sin(angle)
-    return bins, starts
+        return kernel_noise.bins(compiled, (seed & WORD, stream & WORD, block & WORD), pairs, first, bins.level)
+    radius, angle = _polar(seed, stream, block, pairs, slice(first, last))
+    out = np.empty(len(radius), dtype=np.complex128)
+    out.real, out.imag = radius * bins.level * np.cos(angle), radius * bins.level * np.sin(angle)
+    return out
 
 
 def first_bins(edges: NDArray[np.float64], size: int) -> NDArray[np.intp]:
-    """(B + 1,) first bin of each band and of what follows the last. Raises ValueError as band_spectra does."""
+    """(B + 1,) first bin of each band and of what follows the last. Raises ValueError as bins_of does."""
     starts = np.clip(np.ceil(edges).astype(np.intp), 1, size // 2)
     empty = np.diff(starts) <= 0
     if empty.any():

@@ -25,7 +25,7 @@ ABI = 2
 SWITCH = "HNF_KERNEL"
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 
-_Integer, _Number, _Pointer = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
+_Integer, _Word, _Number, _Pointer = ctypes.c_int64, ctypes.c_uint64, ctypes.c_double, ctypes.c_void_p
 _SIGNATURES = {
     "hnf_hop": (
         _Pointer, _Pointer, _Integer, _Pointer, _Pointer, _Pointer, _Pointer, _Integer, _Pointer, _Pointer,
@@ -37,12 +37,12 @@ _SIGNATURES = {
     ),
     "hnf_linear_contact": (_Pointer, _Pointer, _Integer, _Pointer, _Integer, _Pointer, _Pointer),
     "hnf_add_rows": (_Pointer, _Integer, _Pointer, _Pointer, _Pointer, _Integer, _Pointer),
-    "hnf_bins": (_Pointer, _Pointer, _Pointer, _Integer, _Pointer),
+    "hnf_bins": (_Word, _Word, _Word, _Integer, _Integer, _Integer, _Pointer, _Pointer),
     "hnf_real_waves": (
-        _Pointer, _Pointer, _Pointer, _Integer, _Integer, _Integer, _Pointer, _Pointer, _Pointer, _Pointer,
+        _Pointer, _Pointer, _Pointer, _Integer, _Integer, _Integer, _Pointer, _Pointer, _Pointer, _Pointer, _Pointer,
     ),
     "hnf_complex_waves": (
-        _Pointer, _Pointer, _Integer, _Integer, _Integer, _Pointer, _Pointer, _Pointer, _Pointer,
+        _Pointer, _Pointer, _Integer, _Integer, _Integer, _Pointer, _Pointer, _Pointer, _Pointer, _Pointer,
     ),
 }  # fmt: skip
 _plain = threading.local()

@@ -16,13 +16,13 @@ from hypothesis import strategies as st
 from hnf_core.bench.synth import forget_carriers, ten_seconds
 from hnf_core.field import texture
 from hnf_core.field.adaptive import Sampled, accumulated
-from hnf_core.field.band_waves import complex_waves, real_waves
+from hnf_core.field.band_waves import complex_waves, real_waves, wave_plan
 from hnf_core.field.carriers import Carriers
 from hnf_core.field.field import Emission, FieldConfig
 from hnf_core.field.hops import arc_hop, time_hop
 from hnf_core.field.knots import Knots
 from hnf_core.field.linear_contact import linear_contact
-from hnf_core.field.noise import band_bins, crossfade_window
+from hnf_core.field.noise import band_bins, bins_of, crossfade_window
 from hnf_core.field.plain import position_beyond
 from hnf_core.field.synthesis import prepare, rendered
 from hnf_core.field.texture import REACH, texture_hop
@@ -34,7 +34,8 @@ from hnf_core.kernel.contact import FEATURES, TOUCH, Tables, add_rows
 from hnf_core.kernel.contact import linear_contact as compiled_contact
 from hnf_core.kernel.hop import HopTables
 from hnf_core.kernel.library import kernel, plainly, why_not
-from hnf_core.kernel.noise import bins
+from hnf_core.kernel.noise import bins as compiled_bins
+from hnf_core.kernel.noise import real_waves as compiled_waves
 from hnf_core.kernel.texture import Between, Octave, Piece, in_arc
 from hnf_core.material.library import find
 
@@ -85,13 +86,14 @@ def test_a_hop_is_the_one_that_numpy_reads(seed, speed, spacing):
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10**6), st.integers(-5, 5), st.integers(0, 7))
 def test_noise_and_its_waves_are_numpys(seed, block, octave):
-    edges, size = CARRIERS.arc_edges()[24 * octave :][:25] * CARRIERS.arc_step_m(octave) * 8192, 1024
-    window = crossfade_window(size)
-    drawn, starts = band_bins(seed, octave, block, edges, 8192)
-    found = complex_waves(drawn, starts, 384, size, window), real_waves(drawn, starts, 2048, np.repeat(window, 2))
+    edges = CARRIERS.arc_edges()[24 * octave :][:25] * CARRIERS.arc_step_m(octave) * 8192
+    bins = bins_of(edges, 8192)
+    arcs, times = (wave_plan(bins.starts, crossfade_window(size), middle) for size, middle in ((1024, 384), (2048, 0)))
+    drawn = band_bins(seed, octave, block, bins)
+    found = complex_waves(drawn, arcs), real_waves(drawn, times)
     with plainly():
-        np.testing.assert_allclose(drawn, band_bins(seed, octave, block, edges, 8192)[0], rtol=1e-13, atol=1e-9)
-        wanted = complex_waves(drawn, starts, 384, size, window), real_waves(drawn, starts, 2048, np.repeat(window, 2))
+        np.testing.assert_allclose(drawn, band_bins(seed, octave, block, bins), rtol=1e-13, atol=1e-9)
+        wanted = complex_waves(drawn, arcs), real_waves(drawn, times)
     for one, other in zip(found, wanted, strict=True):
         assert one.dtype == other.dtype
         assert np.abs(one - other).max() < 2e-6 * np.abs(other).max()
@@ -183,11 +185,14 @@ def test_what_it_would_misread_never_reaches_it():
             in_arc(none, [Octave(rows, pieces, 0, 1000.0)], 0.1, np.full(8, place), cubic, between)
     with pytest.raises(TypeError, match="float32"):
         in_arc(none, [Octave(rows.astype(float), pieces, 0, 1000.0)], 0.1, np.full(8, 0.03), cubic, between)
-    words = np.zeros(4, np.uint64)
-    with pytest.raises(TypeError, match="uint64"):
-        bins(none, words.astype(np.int64), words, np.ones(4))
-    with pytest.raises(ValueError, match="words"):
-        bins(none, words, words, np.ones(5))
+    for first, level in ((-1, np.ones(4)), (2, np.ones(4)), (6, np.ones(0))):
+        with pytest.raises(ValueError, match="words"):
+            compiled_bins(none, (1, 2, 3), 5, first, level)
+    plan = wave_plan(np.array([3, 5, 9]), np.ones(64))
+    given = plan.starts, plan.narrow, plan.slow, plan.turns, plan.window
+    for count, size in ((5, 64), (6, 96), (6, 48)):
+        with pytest.raises(ValueError, match="waves"):
+            compiled_waves(none, np.ones(count, complex), *given, np.ones((2, size), np.float32))
     values, one = np.ones((5, 3)), np.ones(2)
     for row in ([0, 4], [-1, 0]):
         with pytest.raises(ValueError, match="rows"):

@@ -1,6 +1,7 @@
 """The fast carriers against the plain ones: equal to −57 dB (−65 in the median), hop by hop, whatever the hand does."""
 
 import dataclasses
+from contextlib import nullcontext
 from itertools import pairwise
 
 import numpy as np
@@ -9,14 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
-from hnf_core.field.band_waves import complex_waves, real_waves
+from hnf_core.field.band_waves import complex_waves, real_waves, wave_plan
 from hnf_core.field.carriers import ARC_BLOCK, Carriers
 from hnf_core.field.hops import ARC_HOP, CELL, HOP, MARGINS, MIDDLE, arc_hop, time_hop, time_levels
 from hnf_core.field.knots import Knots
-from hnf_core.field.noise import band_bins, band_spectra, normal_block
+from hnf_core.field.noise import band_bins, band_spectra, bins_of, normal_block
 from hnf_core.field.plain import plain_texture, position_beyond
 from hnf_core.field.texture import REACH, texture_hop
 from hnf_core.field.timeline import SAMPLES_PER_STATE
+from hnf_core.kernel.library import plainly
 
 CARRIERS = Carriers()
 FAR = 10 ** (-57 / 20)
@@ -129,11 +131,12 @@ def test_bins_are_those_of_the_white_spectrum(seed, block):
     edges, size = np.array([20.0, 31.5, 40.0, 77.0]), 256
     numbers = normal_block(seed, 5, block, 2 * (size // 2 + 1))
     white = numbers[: size // 2 + 1] + 1j * numbers[size // 2 + 1 :]
-    bins, starts = band_bins(seed, 5, block, edges, size)
-    assert starts.tolist() == [20, 32, 40, 77]
-    level = np.repeat(size / np.sqrt(4.0 * np.diff(starts)), np.diff(starts))
-    np.testing.assert_allclose(bins, white[20:77] * level, rtol=1e-12, atol=1e-12)
-    np.testing.assert_array_equal(band_spectra(seed, 5, block, edges, size).sum(axis=0)[20:77], bins)
+    bins = bins_of(edges, size)
+    drawn = band_bins(seed, 5, block, bins)
+    assert bins.starts.tolist() == [20, 32, 40, 77]
+    level = np.repeat(size / np.sqrt(4.0 * np.diff(bins.starts)), np.diff(bins.starts))
+    np.testing.assert_allclose(drawn, white[20:77] * level, rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(band_spectra(seed, 5, block, edges, size).sum(axis=0)[20:77], drawn)
 
 
 @pytest.mark.parametrize("size", [256, 2048])
@@ -144,11 +147,15 @@ def test_waves_of_a_few_bins_are_the_inverse_transform(size):
     for band, (low, high) in enumerate(pairwise(starts)):
         spectra[band, low:high] = bins[low - 3 : high - 3]
     window, waves = generator.random(size), size * np.fft.ifft(spectra)
-    np.testing.assert_allclose(real_waves(bins, starts, size, window), 2.0 * waves.real * window, atol=2e-5)
     lower = size * np.fft.ifft(np.roll(spectra[:3], -10, axis=1)) * window
-    np.testing.assert_allclose(complex_waves(bins[:50], starts[:4], 10, size, window), lower, atol=2e-5)
+    for context in (nullcontext(), plainly()):
+        with context:
+            found = real_waves(bins, wave_plan(starts, window))
+            turned_back = complex_waves(bins[:50], wave_plan(starts[:4], window, 10))
+        np.testing.assert_allclose(found, 2.0 * waves.real * window, atol=2e-5)
+        np.testing.assert_allclose(turned_back, lower, atol=2e-5)
 
 
 def test_a_band_without_a_bin_is_refused():
     with pytest.raises(ValueError, match="band 1 holds no bin"):
-        band_bins(0, 0, 0, np.array([2.0, 4.2, 4.5, 9.0]), 64)
+        bins_of(np.array([2.0, 4.2, 4.5, 9.0]), 64)

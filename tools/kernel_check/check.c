@@ -55,7 +55,7 @@ static void say_single(const char *name, const float *values, int count)
 }
 
 static float amplitude[5 * BANDS], waves[BANDS * COUNT], share[COUNT], out[COUNT], cubic[16], scratch[8 * CELLS];
-static float slow[2 * WIDEST * LENGTH], cosine[WAVES * LENGTH], sine[WAVES * LENGTH], real[WAVES * LENGTH];
+static float window[LENGTH], slow[2 * WIDEST * LENGTH], cosine[WAVES * LENGTH], sine[WAVES * LENGTH], real[WAVES * LENGTH];
 static hnf_complex pieces[2][BANDS * CELLS], turned[WAVES * LENGTH];
 static double place[COUNT], level[COUNT], drawn[2 * COUNT], bins[2 * WAVES * WIDEST], kappa[ARC], between[ARC];
 static double wavelength[TOKEN], turn[4 * ANGLES], tokens[STATES * TOKEN * FEATURES], table[10 * ARC], rows[STATES * ARC];
@@ -64,7 +64,6 @@ static double lines[4 * STATES * TOKEN], part[STATES], factor[STATES];
 static double path[HOP + 2 * REACH], hopped[HOP];
 static float half_band[8];
 static int64_t row[COUNT], below[ARC], nearest[ARC], shift[ANGLES], low[2 * STATES * TOKEN], at[STATES];
-static uint64_t radius[COUNT], angle[COUNT];
 static hnf_touch touch[STATES];
 
 int main(int given, char **words)
@@ -83,7 +82,7 @@ int main(int given, char **words)
         row[i] = i * 4 / COUNT;
         share[i] = (float)uniform();
         place[i] = (70.0 + 40.0 * sin(0.02 * i)) / 1000.0;
-        radius[i] = word(), angle[i] = word(), level[i] = uniform();
+        level[i] = uniform();
     }
     fill((float *)pieces, 4 * BANDS * CELLS);
     memset(out, 0, sizeof out);
@@ -111,17 +110,17 @@ int main(int given, char **words)
     hnf_hop_(&carriers, &knots, 0, path, time_waves, hops, readings, found_readings, room, hopped);
     say("hop", hopped, HOP, 5);
 
-    hnf_bins_(radius, angle, level, COUNT, drawn);
+    hnf_bins_(word(), word(), word(), 1001, 7, COUNT, level, drawn);
     say("bins", drawn, 2 * COUNT, 9);
-    fill(slow, 2 * WIDEST * LENGTH), fill(cosine, WAVES * LENGTH), fill(sine, WAVES * LENGTH);
+    fill(window, LENGTH), fill(slow, 2 * WIDEST * LENGTH), fill(cosine, WAVES * LENGTH), fill(sine, WAVES * LENGTH);
     int64_t starts[WAVES + 1], which[3] = {0, 2, 5};
     for (int i = 0; i <= WAVES; i++)
         starts[i] = 30 + i * WIDEST - (i > 2);
     for (int i = 0; i < 2 * WAVES * WIDEST; i++)
         bins[i] = uniform() - 0.5;
-    hnf_real_waves_(bins, starts, which, 3, WIDEST, LENGTH, slow, cosine, sine, real);
+    hnf_real_waves_(bins, starts, which, 3, WIDEST, LENGTH, slow, cosine, sine, window, real);
     say_single("real_waves", real, WAVES * LENGTH);
-    hnf_complex_waves_(bins, starts, WAVES, WIDEST, LENGTH, slow, cosine, sine, turned);
+    hnf_complex_waves_(bins, starts, WAVES, WIDEST, LENGTH, slow, cosine, sine, window, turned);
     say_single("complex_waves", (float *)turned, 2 * WAVES * LENGTH);
 
     for (int k = 0; k < ARC; k++) {

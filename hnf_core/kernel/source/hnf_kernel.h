@@ -109,13 +109,13 @@ HNF_EXPORT void hnf_add_rows(const double *values, int64_t width, const int64_t 
                              const double *factor, int64_t count, double *out);
 
 /* noise.c */
-HNF_EXPORT void hnf_bins(const uint64_t *radius, const uint64_t *angle, const double *level, int64_t count,
-                         double *out);
+HNF_EXPORT void hnf_bins(uint64_t seed, uint64_t stream, uint64_t block, int64_t pairs, int64_t first, int64_t count,
+                         const double *level, double *out);
 HNF_EXPORT void hnf_real_waves(const double *bins, const int64_t *starts, const int64_t *which, int64_t bands,
                                int64_t widest, int64_t size, const float *slow, const float *cosine,
-                               const float *sine, float *out);
+                               const float *sine, const float *window, float *out);
 HNF_EXPORT void hnf_complex_waves(const double *bins, const int64_t *starts, int64_t bands, int64_t widest,
                                   int64_t size, const float *slow, const float *cosine, const float *sine,
-                                  hnf_complex *out);
+                                  const float *window, hnf_complex *out);
 
 #endif
