@@ -155,3 +155,43 @@ def test_the_pictures_of_a_run_are_taken_on_one_scene_and_none_is_made_without_a
             assert np.ptp(shown.path[:, 0]) > 15
     assert (len(scenes), counts.renders) == (1, 2)
     assert SCENE_NAME not in bpy.data.scenes
+
+
+def lamp(place, energy=2.0):
+    found = bpy.data.objects.new("lamp", bpy.data.lights.new("lamp", "SUN"))
+    bpy.context.scene.collection.objects.link(found)
+    found.data.energy, found.location, found.rotation_euler = energy, place, (0.5, 0.3, 0.0)
+    return found
+
+
+def test_a_tree_of_lights_is_grown_where_there_are_several_and_beside_one_lamp_it_is_the_same(things, monkeypatch):
+    ball, _ = things
+
+    def seen(tree=None, seed=0):
+        """Whether a tree was chosen, and the picture with `tree`, or with what was chosen."""
+        with Overviews(bpy.context.scene, samples=4, whole=True) as overviews:
+            own = overviews.temporary.scene.cycles
+            own.use_denoising, own.seed = False, seed
+            if tree is not None:
+                monkeypatch.setattr(picture, "_lamps", lambda scene: 2 * tree)
+            rgb = linear_to_srgb(overviews.view(LEFT)[0].rgb)
+            monkeypatch.undo()
+            return own.use_light_tree, rgb
+
+    def differ(one, other):
+        return float(np.sqrt(np.mean((one - other) ** 2)))
+
+    assert not seen()[0]
+    first = lamp((0, 0, 2))
+    (chosen, without), (forced, with_tree), (_, other_noise) = seen(), seen(tree=True), seen(seed=1)
+    assert (chosen, forced) == (False, True)
+    assert differ(without, with_tree) < 0.05 * differ(without, other_noise)  # 0.017: a few pixels
+    second = lamp((1, 0, 2))
+    assert seen()[0]
+    second.data.energy = 0.0
+    assert not seen()[0]
+    second.data.energy, first.hide_render = 1.0, True
+    assert not seen()[0]
+    inputs = ball.active_material.node_tree.nodes["Principled BSDF"].inputs
+    inputs["Emission Strength"].default_value, inputs["Emission Color"].default_value = 1.0, (1, 1, 1, 1)
+    assert seen()[0]
