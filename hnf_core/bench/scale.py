@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from ..action.action import ACTION_RATE_HZ, Action
 from ..field import field as field_module
 from ..field import synthesis
-from ..field.features import build_inputs
 from ..field.field import Field
-from ..field.linear_contact import Condition
 from ..field.long_stroke import portions
+from ..field.network import heads
 from ..field.stroke import StrokeInput, uniform_stroke
 from ..field.weights import load_field
 from ..material.library import find
@@ -87,9 +86,9 @@ def counted_states() -> Iterator[list[int]]:
     """Grows by the number of states at every evaluation of F_Θ in a synthesis."""
     counts: list[int] = []
 
-    def counted(condition: Condition, *named: Any) -> Any:
-        counts.append(len(condition.force))
-        return build_inputs(condition, *named)
+    def counted(parameters: Any, layers: int, x: Any) -> Any:
+        counts.append(len(x))
+        return heads(parameters, layers, x)
 
-    with patch.object(field_module, "build_inputs", counted):
+    with patch.object(field_module, "heads", counted):
         yield counts

@@ -28,7 +28,7 @@ from ..material.library import find
 from .frame import Options, Row, Times, peak_mb
 from .synth_ar import autoregressive
 from .synth_narrow import has_bfloat16, in_bfloat16
-from .synth_table import Grid, read_table, tabulate
+from .synth_table import Grid, from_table, tabulate
 
 Float = NDArray[np.float64]
 
@@ -40,6 +40,7 @@ WINDOWS, QUICK_WINDOWS, WINDOW = 20, 2, 500
 """Stretches all over the stroke in which errors are measured, and their samples."""
 TOLERANCES_DB = (-30.0, -40.0, -50.0)
 KEPT_DB = (-30.0, -40.0)
+TABLE_TOLERANCE = 10.0 ** (-30.0 / 20.0)
 SEED = 11
 AS_IN_SCENES = "every state"
 """What the others' times are told in."""
@@ -134,8 +135,8 @@ def _methods(field: Field, stroke: StrokeInput) -> list[Method]:
     table = tabulate(field, *material, Grid() if len(stroke.action.speed) > 1000 else Grid(4, 1, 1))
 
     def tabled(field: Field, stroke: StrokeInput, seed: int) -> Float:
-        read = lambda _, condition: read_table(table, field, condition)  # noqa: E731
-        return rendered(prepare(field, stroke, seed=seed, tolerance=0.01, emission=read))
+        read = partial(from_table, table)
+        return rendered(prepare(field, stroke, seed=seed, tolerance=TABLE_TOLERANCE, emission=read))
 
     def narrow(field: Field, stroke: StrokeInput, seed: int) -> Float:
         return in_bfloat16(lambda: rendered(prepare(field, stroke, seed=seed)))

@@ -107,10 +107,15 @@ def build_inputs(
 
 def gate_of(condition: Condition, carriers: Carriers) -> Float:
     """(n, K) factor 0 … 1 on what is emitted, as in Inputs."""
-    moving = np.clip(condition.speed / SPEED_FLOOR_M_S, 0.0, 1.0) * np.clip(condition.force / FORCE_FLOOR_N, 0.0, 1.0)
-    gate = np.repeat(np.where(condition.contact, moving, 0.0)[:, None], carriers.count, axis=1)
+    gate = np.repeat(moving(condition)[:, None], carriers.count, axis=1)
     gate[:, carriers.arc_slice] *= arc_gain(carriers.arc_centres(), np.maximum(condition.speed, SPEED_FLOOR_M_S))
     return gate
+
+
+def moving(condition: Condition) -> Float:
+    """(n,) 0 … 1: 0 at rest and out of contact."""
+    slides = np.clip(condition.speed / SPEED_FLOOR_M_S, 0.0, 1.0) * np.clip(condition.force / FORCE_FLOOR_N, 0.0, 1.0)
+    return np.where(condition.contact, slides, 0.0)
 
 
 def encode_action(direction: Float, speed: Float, force: Float, octaves: int, directed: bool) -> Float:
@@ -152,13 +157,19 @@ def log_amplitude(power: Float) -> Float:
 
 def normalised_tokens(tokens: Float) -> Float:
     """(n, TOKEN_DIM) with every component of order 1."""
+    shift, scale = token_scale()
+    return np.asarray((np.asarray(tokens, dtype=np.float64) - shift) * scale)
+
+
+def token_scale() -> tuple[Float, Float]:
+    """(TOKEN_DIM,) what is taken from each component, and its factor after that; moments of direction stay."""
     bands, width = len(BAND_WAVELENGTHS_M), len(BAND_FEATURES)
     scale, shift = np.ones(TOKEN_DIM), np.zeros(TOKEN_DIM)
     levels = np.arange(bands) * width
     shift[levels], scale[levels] = -6.0, 1.0 / 1.5
     scale[levels + BAND_FEATURES.index("offset")] = 2.0
     scale[bands * width :] = 0.5
-    return np.asarray((np.asarray(tokens, dtype=np.float64) - shift) * scale)
+    return shift, scale
 
 
 def mechanics_columns(mechanics: Mechanics) -> tuple[float, ...]:

@@ -8,15 +8,18 @@ FieldConfig.published().
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..action.action import ACTION_RATE_HZ
+from ..kernel.library import kernel
 from .carriers import Carriers
+from .emitter import emission, emitter_of, fits
 from .features import build_inputs, input_size
 from .linear_contact import Condition
 from .lines import GAINS, line_power
@@ -25,6 +28,9 @@ from .ranges import Ranges
 from .rendering import render_weights
 
 Float = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Answer = Callable[[Float32], tuple[Float32, Float32]]
+"""Inputs (n, D) → what the α head and the σ head say of them, (n, …) each."""
 
 LOG_AMPLITUDE_CEILING = 6.0
 """exp of it is 400 m/s² in one band: far above any touch, far below overflow."""
@@ -129,13 +135,20 @@ class Emission:
     sigma_dt: Float
 
 
-def evaluate(model: Field, condition: Condition) -> Emission:
-    """F_Θ at each of n states, in float32 products (as the torch twin)."""
-    alpha, sigma_dt, gate = before_gate(model, condition)
-    return Emission(alpha * gate[:, None, :], sigma_dt)
+def evaluate(model: Field, condition: Condition, answer: Answer | None = None) -> Emission:
+    """F_Θ at each of n states, in float32 products (as the torch twin). answer: what stands for the network."""
+    config, weights, compiled = model.config, model.parameters, kernel()
+    if answer is None:
+        answer = partial(heads, weights, config.layers)
+    if compiled is None or not fits(config) or weights["skip"].dtype != np.float32:
+        alpha, sigma_dt, gate = before_gate(model, condition, answer)
+        return Emission(alpha * gate[:, None, :], sigma_dt)
+    emitter = emitter_of(config, weights["skip"].tobytes(), condition.probe, LOG_AMPLITUDE_CEILING)
+    alpha, sigma = emission(compiled, emitter, condition, answer)
+    return Emission(alpha[:, None, :], np.logaddexp(0.0, sigma.astype(np.float64)))
 
 
-def before_gate(model: Field, condition: Condition) -> tuple[Float, Float, Float]:
+def before_gate(model: Field, condition: Condition, answer: Answer) -> tuple[Float, Float, Float]:
     """alpha (n, heads, K) as if every state slid within its band, sigma_dt (n, N), and the gate (n, K) on alpha."""
     config, weights = model.config, model.parameters
     inputs = build_inputs(
@@ -147,7 +160,7 @@ def before_gate(model: Field, condition: Condition) -> tuple[Float, Float, Float
         config.line_gains,
         config.stroke_frame,
     )
-    head, sigma = heads(weights, config.layers, inputs.x.astype(np.float32))
+    head, sigma = answer(inputs.x.astype(np.float32))
     alpha = head.astype(np.float64).reshape(len(head), config.alpha_heads, config.alpha_outputs)
     alpha, gains = (alpha[..., :-GAINS], alpha[:, 0, -GAINS:]) if config.line_gains else (alpha, None)
     prior, tones = np.split(inputs.prior, [config.carriers.count], axis=1)

@@ -95,7 +95,7 @@ def upper_fade(frequency: Float) -> Float:
 
 def linear_contact(condition: Condition, carriers: Carriers) -> LinearContact:
     """Expected power of each state, as if it lasted; out of contact as at the force floor."""
-    touch, resonance = _touch(condition)
+    touch, resonance = touch_of(condition)
     compiled = kernel()
     if compiled is None:
         return _linear_contact(condition, carriers, touch, resonance)
@@ -105,7 +105,7 @@ def linear_contact(condition: Condition, carriers: Carriers) -> LinearContact:
     return LinearContact(found.power, found.normal, resonance, found.noise, Lines(found.lines, found.low))
 
 
-def _touch(condition: Condition) -> tuple[dict[str, Float], Float]:
+def touch_of(condition: Condition) -> tuple[dict[str, Float], Float]:
     """What each state (n,) says of the contact, by the names in TOUCH, and its resonance [Hz]."""
     probe, force = PROBES[condition.probe], np.maximum(condition.force, FORCE_FLOOR_N)
     radius, stiffness, damping, friction, resonance = np.zeros((5, len(force)))

@@ -6,14 +6,19 @@ What a state does not change (token, mechanics, probe) is worked out once per ma
 from __future__ import annotations
 
 import math
+from ctypes import CDLL
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import UsageError
+from ..kernel.contact import TOUCH
+from ..kernel.emission import MOTION, Layers, emitted, inputs
+from ..kernel.library import kernel
 from ..material.mechanics import Mechanics
 from ..material.probe import PROBES
 from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M
+from .emitter import emitter_of, fits, fixed_inputs
 from .features import (
     DIRECTION_AT,
     MECHANICS_AT,
@@ -70,12 +75,18 @@ class LiveEmission:
             self._linear = LiveLinear(self._token[0], mechanics, PROBES[probe], carriers)
             self._time, self._skip = TimeShare(carriers), weights["skip"].astype(np.float64)
         self._mass = PROBES[probe].mass_kg
+        self._compiled: CompiledEmission | None = None
+        if fits(config) and self._linear is not None:
+            self._compiled = CompiledEmission(field, self._token, mechanics, probe, self._linear)
 
     def at(self, direction: Float, speed: float, force: float, contact: bool) -> tuple[Float, Float]:
         """α (K,), 0 at rest and out of contact, and σΔt (N,). direction: (2,); speed: m/s; force: N."""
         carriers, angle = self._carriers, float(np.arctan2(direction[1], direction[0]))
         pace, load = max(speed, SPEED_FLOOR_M_S), max(force, FORCE_FLOOR_N)
         moving = min(speed / SPEED_FLOOR_M_S, 1.0) * min(max(force, 0.0) / FORCE_FLOOR_N, 1.0) if contact else 0.0
+        compiled = kernel()
+        if compiled is not None and self._compiled is not None:
+            return self._compiled.at(compiled, direction, angle, pace, load, moving)
         linear = None if self._linear is None else self._linear.at(angle, pace, load)
         time_power = None if linear is None else self._time.of(linear.power, pace)
         hidden = self._input(direction, angle, pace, load, linear, time_power)
@@ -146,6 +157,35 @@ class LiveEmission:
             arc = alpha[carriers.arc_slice]
             alpha[carriers.arc_slice] = np.sqrt(np.square(arc) + _ringing(gains, linear, len(arc)))
         return np.asarray(alpha)
+
+
+class CompiledEmission:
+    """The same by the kernel: three calls."""
+
+    def __init__(self, field: Field, token: Float, mechanics: Mechanics, probe: str, linear: LiveLinear) -> None:
+        weights, names = (
+            field.parameters,
+            [*(f"layer{index}" for index in range(field.config.layers)), "alpha", "sigma"],
+        )
+        skip = np.asarray(weights["skip"], dtype=np.float32).tobytes()
+        self._emitter = emitter_of(field.config, skip, probe, LOG_AMPLITUDE_CEILING)
+        self._layers = Layers(
+            [weights[f"{name}.weight"] for name in names], [weights[f"{name}.bias"] for name in names]
+        )
+        self._token, self._linear, self._mass = token, linear, PROBES[probe].mass_kg
+        self._fixed = np.array([fixed_inputs(mechanics, probe)])
+        self._motion, self._touch = np.empty((1, len(MOTION))), np.empty((1, len(TOUCH)))
+
+    def at(
+        self, kernel: CDLL, direction: Float, angle: float, pace: float, load: float, moving: float
+    ) -> tuple[Float, Float]:
+        """As LiveEmission.at, of a speed and a force that are not below their floors."""
+        self._touch[0], resonance = self._linear.touch(angle, pace, load)
+        self._motion[0] = *direction, pace, load, self._mass, resonance, moving
+        x, expected = inputs(kernel, self._emitter, self._token, self._fixed, self._motion, self._touch)
+        head, sigma = self._layers.of(kernel, x[0])
+        alpha = emitted(kernel, self._emitter, head[None], self._motion, expected)[0]
+        return alpha, np.logaddexp(0.0, sigma.astype(np.float64))
 
 
 def _transposed(field: Field, name: str) -> tuple[Single, Single]:

@@ -1,4 +1,4 @@
-"""The linear contact of one state, quickly. linear_contact is the reference, term by term."""
+"""The linear contact of one state, as quickly as numpy can. linear_contact is the reference, term by term."""
 
 from __future__ import annotations
 
@@ -8,14 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernel.contact import TOUCH, linear_contact
-from ..kernel.library import kernel
 from ..material.contact import power_gain, surface_stiffness_at_1n, with_defaults
 from ..material.mechanics import Mechanics
 from ..material.probe import Probe
 from .carriers import ARC_PER_OCTAVE, Carriers
 from .linear_contact import FLANK_FRICTION, arc_gain, hand_of
-from .linear_texture import kernel_tables
 from .live_texture import LiveTexture
 
 Float = NDArray[np.float64]
@@ -47,11 +44,10 @@ class LiveLinear:
         self._known, self._probe = with_defaults(mechanics), probe
         self._surface = surface_stiffness_at_1n(mechanics, probe)
         self._weight = np.empty((3, len(self._kappa)))
-        self._token, self._touch = np.array(token, dtype=np.float64)[None], np.empty((1, len(TOUCH)))
-        self._tables = kernel_tables(carriers, *hand_of(probe.name))
 
-    def at(self, angle: float, speed: float, force: float) -> LinearState:
-        """angle: radians; speed, force: m/s and N, not below their floors."""
+    def touch(self, angle: float, speed: float, force: float) -> tuple[tuple[float, ...], float]:
+        """Columns TOUCH of a state, and its resonance [Hz]. angle: radians; speed, force: m/s and N, not below their
+        floors."""
         probe, tip = self._probe, self._probe.tip_radius_m
         surface = self._surface * force ** (1.0 / 3.0)
         stiffness = surface * probe.stiffness_n_m / (surface + probe.stiffness_n_m)
@@ -61,19 +57,13 @@ class LiveLinear:
         flank = (1.0 + FLANK_FRICTION * (1.0 - radius / tip) ** 2) ** 2 - 1.0
         resonance = math.sqrt(stiffness / probe.mass_kg) / (2.0 * math.pi)
         leaning = (force / probe.mass_kg) ** 2
-        touch = angle, speed, radius, stiffness, damping, probe.mass_kg, leaning, rubbed, flank
-        gain, compiled = arc_gain(self._kappa, np.array([speed]))[0], kernel()
-        if compiled is None:
-            return self._plainly(touch, resonance, gain)
-        self._touch[0] = touch
-        found = linear_contact(compiled, self._tables, self._token, self._touch)
-        normal, lines, low = float(found.normal[0]), found.lines[:, 0], found.low[0]
-        return LinearState(found.power[0], found.noise[0], normal, resonance, lines, low, gain)
+        return (angle, speed, radius, stiffness, damping, probe.mass_kg, leaning, rubbed, flank), resonance
 
-    def _plainly(self, touch: tuple[float, ...], resonance: float, gain: Float) -> LinearState:
-        """In numpy. touch: columns TOUCH."""
-        angle, speed, radius, stiffness, damping, mass, leaning, rubbed, flank = touch
-        wave = self._wave
+    def at(self, angle: float, speed: float, force: float) -> LinearState:
+        """In numpy; arguments as of touch()."""
+        touch, resonance = self.touch(angle, speed, force)
+        radius, stiffness, damping, mass, leaning, rubbed, flank = touch[2:]
+        gain, wave = arc_gain(self._kappa, np.array([speed]))[0], self._wave
         # The squares of tip_response at κ and at half of it, by which the bearing spots are smaller.
         reach = wave * radius**2
         passed, bent, leaned = weight = self._weight

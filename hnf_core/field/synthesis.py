@@ -217,10 +217,9 @@ def _prepare_within(
     sampled = sample_emission(emit, count, tolerance, turns(action, token_index))
     knots, amplitude = accumulated(field.config, sampled, count)
     if carriers.arc_count:
-        reading = reading_frequency(action, carriers) < BAND_END_HZ
-        state = knots // SAMPLES_PER_STATE
-        after = np.minimum(state + 1, len(reading) - 1)
-        amplitude[:, carriers.arc_slice] *= reading[state] & reading[after]
+        fastest, state = _fastest(action), knots // SAMPLES_PER_STATE
+        around = np.maximum(fastest[state], fastest[np.minimum(state + 1, len(fastest) - 1)])
+        amplitude[:, carriers.arc_slice] *= around[:, None] * carriers.arc_centres() < BAND_END_HZ
     pressed = np.where(action.contact, action.force, 0.0)
     bank = filter_bank(stroke.mechanics, token_index, pressed, action.probe)
     loudest = np.atleast_1d(np.max(sampled.emission.alpha, initial=0.0))
@@ -279,10 +278,13 @@ def reading_frequency(action: Action, carriers: Carriers) -> Float:
 
     Past BAND_END_HZ a band would alias, and a jump of the hand would ask for metres of micrometres.
     """
-    travel = np.abs(np.diff(action.position)) * ACTION_RATE_HZ
-    around = np.pad(travel, 2)
-    fastest = np.max([around[k : k + len(action.position)] for k in range(4)], axis=0)
-    return np.asarray(fastest[:, None] * carriers.arc_centres())
+    return np.asarray(_fastest(action)[:, None] * carriers.arc_centres())
+
+
+def _fastest(action: Action) -> Float:
+    """(n,) m/s within two states of each."""
+    around = np.pad(np.abs(np.diff(action.position)) * ACTION_RATE_HZ, 2)
+    return np.asarray(np.max([around[k : k + len(action.position)] for k in range(4)], axis=0))
 
 
 def rendered(prepared: Prepared) -> Float:

@@ -26,17 +26,18 @@ def turns(action: Action, token_index: NDArray[np.int32]) -> Samples:
     material, and in contact or in the air throughout: states, and places between two of them."""
     force = np.where(action.contact, np.maximum(action.force, FORCE_FLOOR_N), FORCE_FLOOR_N)
     speed = np.maximum(action.speed, SPEED_FLOOR_M_S)
-    course = np.stack([np.log(speed), np.log(force), *action.direction.T], axis=1)
+    course = np.stack([np.log(speed), np.log(force), *action.direction.T])
     changes = np.flatnonzero((np.diff(token_index) != 0) | (np.diff(action.contact.astype(np.int8)) != 0))
-    kept = np.unique(np.concatenate([[0, len(course) - 1], changes, changes + 1]))
+    kept = np.unique(np.concatenate([[0, len(speed) - 1], changes, changes + 1]))
     pending = list(zip(kept[:-1].tolist(), kept[1:].tolist(), strict=True))
     found = set(kept.tolist())
     while pending:
         low, high = pending.pop()
         if high - low < 2:
             continue
-        share = np.arange(1, high - low)[:, None] / (high - low)
-        off = np.abs(course[low + 1 : high] - (course[low] + share * (course[high] - course[low]))).max(axis=1)
+        begin, end = course[:, low, None], course[:, high, None]
+        off = np.abs(course[:, low + 1 : high] - (begin + np.arange(1, high - low) / (high - low) * (end - begin)))
+        off = off.max(axis=0)
         worst = int(np.argmax(off))
         if off[worst] > BENT:
             found.add(low + 1 + worst)

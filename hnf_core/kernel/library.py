@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-ABI = 2
+ABI = 3
 """hnf_kernel.h's HNF_ABI: another one has other functions."""
 SWITCH = "HNF_KERNEL"
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
@@ -36,6 +36,11 @@ _SIGNATURES = {
         _Pointer, _Integer, _Pointer, _Pointer,
     ),
     "hnf_linear_contact": (_Pointer, _Pointer, _Integer, _Pointer, _Integer, _Pointer, _Pointer),
+    "hnf_inputs": (
+        _Pointer, _Pointer, _Pointer, _Integer, _Pointer, _Pointer, _Pointer, _Integer, _Pointer, _Pointer, _Pointer,
+    ),
+    "hnf_emitted": (_Pointer, _Pointer, _Pointer, _Pointer, _Pointer, _Integer, _Pointer, _Pointer),
+    "hnf_layers": (_Pointer, _Pointer, _Pointer, _Integer, _Pointer, _Pointer, _Pointer, _Pointer),
     "hnf_add_rows": (_Pointer, _Integer, _Pointer, _Pointer, _Pointer, _Integer, _Pointer),
     "hnf_bins": (_Word, _Word, _Word, _Integer, _Integer, _Integer, _Pointer, _Pointer),
     "hnf_real_waves": (

@@ -20,7 +20,8 @@ static void *found(void *library, const char *name) { return dlsym(library, name
     if (!name##_) { printf("no %s\n", #name); return 1; }
 
 enum { COUNT = 300, BANDS = 9, CELLS = 64, LENGTH = 512, WAVES = 6, WIDEST = 20, ARC = 192, TOKEN = 7, STATES = 7,
-       ANGLES = 12, FEATURES = 7, HOP = 128, REACH = 8 };
+       ANGLES = 12, FEATURES = 7, HOP = 128, REACH = 8, EDGES = 9,
+       INPUTS = TOKEN * FEATURES + 2 + 4 + EDGES + 3, OUTPUTS = EDGES + 11 + 2 * 2 * TOKEN };
 
 static uint64_t state = 88172645463325252u;
 
@@ -59,11 +60,15 @@ static float window[LENGTH], slow[2 * WIDEST * LENGTH], cosine[WAVES * LENGTH], 
 static hnf_complex pieces[2][BANDS * CELLS], turned[WAVES * LENGTH];
 static double place[COUNT], level[COUNT], drawn[2 * COUNT], bins[2 * WAVES * WIDEST], kappa[ARC], between[ARC];
 static double wavelength[TOKEN], turn[4 * ANGLES], tokens[STATES * TOKEN * FEATURES], table[10 * ARC], rows[STATES * ARC];
-static double room[5 * ARC + (ANGLES + 5) * TOKEN], power[STATES * ARC], noise[STATES * ARC], normal[STATES];
+static double room[8 * ARC + (ANGLES + 9) * TOKEN + EDGES + 1], power[STATES * ARC], noise[STATES * ARC], normal[STATES];
 static double lines[4 * STATES * TOKEN], part[STATES], factor[STATES];
 static double path[HOP + 2 * REACH], hopped[HOP];
 static float half_band[8];
-static int64_t row[COUNT], below[ARC], nearest[ARC], shift[ANGLES], low[2 * STATES * TOKEN], at[STATES];
+static double shift_of[TOKEN * FEATURES], scale_of[TOKEN * FEATURES], skip[EDGES + ARC], edge[EDGES + 1];
+static double knot_share[ARC], prior[STATES * (EDGES + ARC)], line[4 * STATES * TOKEN], alpha[STATES * (EDGES + ARC)];
+static float network[STATES * INPUTS], head[STATES * OUTPUTS];
+static hnf_motion motion[STATES];
+static int64_t knot[ARC], row[COUNT], below[ARC], nearest[ARC], shift[ANGLES], low[2 * STATES * TOKEN], at[STATES];
 static hnf_touch touch[STATES];
 
 int main(int given, char **words)
@@ -75,6 +80,7 @@ int main(int given, char **words)
     }
     FIND(hnf_abi) FIND(hnf_has_wide_vectors) FIND(hnf_read_arc) FIND(hnf_linear_contact) FIND(hnf_add_rows)
     FIND(hnf_bins) FIND(hnf_real_waves) FIND(hnf_complex_waves) FIND(hnf_plan_hop) FIND(hnf_hop) FIND(hnf_place)
+    FIND(hnf_inputs) FIND(hnf_emitted) FIND(hnf_layers)
     printf("version %d, wide vectors %d\n", (int)hnf_abi_(), (int)hnf_has_wide_vectors_());
 
     fill(amplitude, 5 * BANDS), fill(waves, BANDS * COUNT), fill(cubic, 16);
@@ -145,6 +151,32 @@ int main(int given, char **words)
     hnf_linear_contact_(&tables, tokens, TOKEN * FEATURES, touch, STATES, room, &contact);
     say("power", power, STATES * ARC, 9), say("noise", noise, STATES * ARC, 9), say("normal", normal, STATES, 9);
     say("lines", lines, 4 * STATES * TOKEN, 9);
+    for (int i = 0; i < STATES; i++)
+        motion[i] = (hnf_motion){cos(i), sin(i), 0.02 + 0.2 * uniform(), 0.3 + uniform(), 0.02, 150.0, i ? uniform() : 0.0};
+    for (int i = 0; i < TOKEN * FEATURES; i++)
+        shift_of[i] = uniform(), scale_of[i] = uniform();
+    for (int k = 0; k < EDGES + ARC; k++)
+        skip[k] = uniform();
+    for (int i = 0; i <= EDGES; i++)
+        edge[i] = -90.0 + 12.0 * i;
+    for (int k = 0; k < ARC; k++)
+        knot[k] = k / 20, knot_share[k] = k % 20 / 20.0;
+    int64_t order[2] = {0, 24};
+    double start[2] = {0.0, -2.0};
+    hnf_emitter emitter = {INPUTS, TOKEN * FEATURES, TOKEN * FEATURES, 2, TOKEN * FEATURES + 2, EDGES, EDGES + ARC,
+                           OUTPUTS, 2, 1, 1, 1, 4e-8, 1e-10, 0.01, 6.0, 0.1, 150.0, shift_of, scale_of, edge, skip, knot,
+                           knot_share, order, start};
+    hnf_expected expected = {prior, line, low};
+    hnf_inputs_(&tables, &emitter, tokens, TOKEN * FEATURES, level, motion, touch, STATES, room, network, &expected);
+    say_single("inputs", network, STATES * INPUTS);
+    say("prior", prior, STATES * (EDGES + ARC), 9), say("line", line, 4 * STATES * TOKEN, 9);
+    fill(head, STATES * OUTPUTS);
+    hnf_emitted_(&tables, &emitter, head, motion, &expected, STATES, room, alpha);
+    say("emitted", alpha, STATES * (EDGES + ARC), 6);
+    const float *weights[4] = {waves, slow, cosine, sine}, *biases[4] = {share, share + 9, share + 3, share};
+    int64_t widths[5] = {20, 19, 17, 11, 3};
+    hnf_layers_(weights, biases, widths, 2, amplitude, scratch, head, head + 11);
+    say_single("layers", head, 14);
     for (int i = 0; i < 10 * ARC; i++)
         table[i] = uniform();
     for (int i = 0; i < STATES; i++)

@@ -3,27 +3,10 @@
 #include <math.h>
 #include <string.h>
 
+#include "fades.h"
 #include "hnf_kernel.h"
 
 #define TWO_PI 6.283185307179586476925
-
-/* NaN becomes low: what follows may be an index. */
-static double clipped(double x, double low, double high)
-{
-    return x > low ? (x < high ? x : high) : low;
-}
-
-static double smoothstep(double x)
-{
-    x = clipped(x, 0.0, 1.0);
-    return x * x * (3.0 - 2.0 * x);
-}
-
-/* How much of an arc band of f Hz may sound: out below 8 to 4 Hz and above 4 to 4.8 kHz. */
-static double arc_gain(double f)
-{
-    return smoothstep((f - 4.0) / 4.0) * (1.0 - smoothstep((f - 4000.0) / 800.0));
-}
 
 /* A token seen from the stroke, per band. log_noise: of the power per arc band that is no tone. lines: (2,
  * token_bands) powers of the tones along and across the lattice, cosine: |cos| of their angles to the stroke. density:
@@ -113,11 +96,15 @@ void hnf_linear_contact(const hnf_tables *t, const double *tokens, int64_t token
         for (int64_t angle = 0; angle < t->angles; angle++) {
             const double *share = now.density + angle * t->token_bands;
             int64_t moved = t->shift[angle];
-            for (int64_t k = moved; k < bands; k++) {
+            for (int64_t k = moved, end; k < bands; k = end) {
                 double here = share[t->token_band[k]];
-                flat_cut[k - moved] += here * flat[k];
-                slope_cut[k - moved] += here * slope[k];
-                lean_cut[k - moved] += here * lean[k];
+                for (end = k + 1; end < bands && t->token_band[end] == t->token_band[k];)
+                    end++;
+                for (int64_t j = k; j < end; j++) {
+                    flat_cut[j - moved] += here * flat[j];
+                    slope_cut[j - moved] += here * slope[j];
+                    lean_cut[j - moved] += here * lean[j];
+                }
             }
         }
         for (int64_t k = 0; k < bands; k++) {

@@ -15,7 +15,7 @@
 #endif
 
 /* Raised whenever a signature or a meaning changes; library.py asks. */
-#define HNF_ABI 2
+#define HNF_ABI 3
 
 typedef struct { float re, im; } hnf_complex;
 
@@ -99,6 +99,42 @@ typedef struct {
 
 HNF_EXPORT void hnf_linear_contact(const hnf_tables *tables, const double *tokens, int64_t token_size,
                                    const hnf_touch *touch, int64_t states, double *scratch, const hnf_contact *out);
+
+/* emission.c */
+
+/* What no state changes of how a field's inputs and amplitudes are made (hnf_core/field/features.py, field.py). */
+typedef struct {
+    int64_t inputs, token_size, fixed_at, fixed, direction_at; /* numbers in, those of a token, where others begin */
+    int64_t time_bands, carriers, outputs, harmonics;          /* carriers in time come first; outputs of the head */
+    int64_t stroke_frame, directed, line_gains;
+    double quiet_power, quiet_line_power, time_share, ceiling, pace, pitch;
+    const double *token_shift, *token_scale;                   /* (token_size,) */
+    const double *time_edge;                                   /* (time_bands + 1,) arc bands below each at 1 m/s */
+    const double *skip;                                        /* (carriers,) */
+    const int64_t *knot;                                       /* (arc bands,) the output below each, */
+    const double *knot_share;                                  /* and how far it is on the way to the next */
+    const int64_t *harmonic_shift;                             /* (harmonics,) arc bands */
+    const double *harmonic_start;                              /* (harmonics,) log gain */
+} hnf_emitter;
+
+/* speed and force are not below their floors. moving: 0 ... 1, how much of what is emitted counts. */
+typedef struct { double x, y, speed, force, mass, resonance, moving; } hnf_motion;
+
+/* What linear contact expects, as log amplitudes. prior: (states, carriers); line: (states, 2, lines), in the two arc
+ * bands about each tone; low: (states, lines) the lower one. */
+typedef struct {
+    double *prior, *line;
+    int64_t *low;
+} hnf_expected;
+
+HNF_EXPORT void hnf_inputs(const hnf_tables *tables, const hnf_emitter *emitter, const double *tokens,
+                           int64_t token_stride, const double *fixed, const hnf_motion *motion, const hnf_touch *touch,
+                           int64_t states, double *scratch, float *x, const hnf_expected *expected);
+HNF_EXPORT void hnf_emitted(const hnf_tables *tables, const hnf_emitter *emitter, const float *head,
+                            const hnf_motion *motion, const hnf_expected *expected, int64_t states, double *scratch,
+                            double *alpha);
+HNF_EXPORT void hnf_layers(const float *const *weights, const float *const *biases, const int64_t *widths,
+                           int64_t layers, const float *x, float *scratch, float *head, float *sigma);
 
 /* place.c */
 HNF_EXPORT void hnf_place(const double *position, int64_t states, int64_t samples_per_state, int64_t start,

@@ -1,0 +1,180 @@
+"""Compiled: from states to what F_Θ takes, and from what it answers to amplitudes (the twins in numpy are build_inputs
+in field/features.py and before_gate in field/field.py)."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .contact import TOUCH, Tables
+from .library import address, pointers
+
+Float = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Integers = NDArray[np.int64]
+
+MOTION = ("x", "y", "speed", "force", "mass", "resonance", "moving")
+"""Columns of what is known of each state besides TOUCH, as in hnf_kernel.h."""
+
+_COUNTS = (
+    "inputs", "token_size", "fixed_at", "fixed", "direction_at", "time_bands", "carriers", "outputs", "harmonics",
+    "stroke_frame", "directed", "line_gains",
+)  # fmt: skip
+_NUMBERS = ("quiet_power", "quiet_line_power", "time_share", "ceiling", "pace", "pitch")
+_ARRAYS = (
+    "token_shift", "token_scale", "time_edge", "skip", "knot", "knot_share", "harmonic_shift", "harmonic_start",
+)  # fmt: skip
+_SCALARS = 3
+_ACTION = 4
+
+
+class _Struct(ctypes.Structure):
+    _fields_ = (
+        *((name, ctypes.c_int64) for name in _COUNTS),
+        *((name, ctypes.c_double) for name in _NUMBERS),
+        *((name, ctypes.c_void_p) for name in _ARRAYS),
+    )
+
+
+class _Expected(ctypes.Structure):
+    _fields_ = (("prior", ctypes.c_void_p), ("line", ctypes.c_void_p), ("low", ctypes.c_void_p))
+
+
+class Emitter:
+    """What no state changes, as hnf_emitter in hnf_kernel.h; its arrays stay where they are.
+
+    tables: of linear contact. token_shift, token_scale: (T,); time_edge: (Kt + 1,); skip: (K,); knot, knot_share:
+    (Ka,); harmonic_shift, harmonic_start: (H,); scalars by their names. Raises ValueError where they do not fit.
+    """
+
+    def __init__(
+        self, tables: Tables, *, token_shift: Float, token_scale: Float, time_edge: Float, skip: Float, knot: Integers,
+        knot_share: Float, harmonic_shift: Integers, harmonic_start: Float, **numbers: float,
+    ) -> None:  # fmt: skip
+        arrays = (token_shift, token_scale, time_edge, skip, knot, knot_share, harmonic_shift, harmonic_start)
+        self._kept = [
+            np.ascontiguousarray(each, dtype=np.float64 if each.dtype.kind == "f" else np.int64) for each in arrays
+        ]
+        self.tables, self.lines = tables, 2 * tables.token_bands
+        counts = {
+            "token_size": len(token_shift), "time_bands": len(time_edge) - 1, "carriers": len(skip),
+            "harmonics": len(harmonic_shift), **numbers,
+        }  # fmt: skip
+        self.inputs, self.fixed, self.outputs = (int(counts[name]) for name in ("inputs", "fixed", "outputs"))
+        self.carriers, self.token_size, time_bands = len(skip), len(token_shift), len(time_edge) - 1
+        gains = int(counts["line_gains"]) * len(harmonic_shift) * self.lines
+        after = int(counts["direction_at"]) + _ACTION + time_bands + _SCALARS
+        reach = knot + (knot_share > 0.0)
+        fits = self.carriers == time_bands + tables.bands and self.inputs == after
+        fits &= tables.token_size <= self.token_size <= counts["fixed_at"] <= counts["direction_at"] - self.fixed
+        fits &= len(knot) == len(knot_share) == tables.bands and len(token_scale) == self.token_size
+        fits &= bool(knot.min() >= 0 and time_bands + reach.max() + gains < self.outputs)
+        fits &= len(harmonic_start) == len(harmonic_shift)
+        if not fits:
+            raise ValueError(f"a field of {self.inputs} inputs, {self.carriers} carriers and {self.outputs} outputs")
+        self.struct = _Struct(
+            *(int(counts[name]) for name in _COUNTS), *(numbers[name] for name in _NUMBERS),
+            *(each.__array_interface__["data"][0] for each in self._kept),
+        )  # fmt: skip
+        self.room = 8 * tables.bands + time_bands + 1 + (9 + tables.angles) * tables.token_bands
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What linear contact expects of n states, as log amplitudes: prior (n, K); line (n, 2, L) in the two arc bands
+    about each tone, low (n, L) the lower one."""
+
+    prior: Float
+    line: Float
+    low: Integers
+
+    @staticmethod
+    def empty(states: int, emitter: Emitter) -> Expected:
+        return Expected(
+            np.empty((states, emitter.carriers)), np.empty((states, 2, emitter.lines)),
+            np.empty((states, emitter.lines), dtype=np.int64),
+        )  # fmt: skip
+
+    def struct(self, states: int, emitter: Emitter) -> _Expected:
+        wanted = (states, emitter.carriers), (states, 2, emitter.lines), (states, emitter.lines)
+        if (self.prior.shape, self.line.shape, self.low.shape) != wanted:
+            raise ValueError(f"{self.prior.shape} and {self.line.shape} expected of {states} states")
+        return _Expected(address(self.prior, np.float64), address(self.line, np.float64), address(self.low, np.int64))
+
+
+def inputs(
+    kernel: ctypes.CDLL, emitter: Emitter, tokens: Float, fixed: Float, motion: Float, touch: Float
+) -> tuple[Float32, Expected]:
+    """(n, D) network inputs, and what contact expects.
+
+    tokens: (n, TOKEN_DIM). fixed: (n, F) inputs as they are. motion: (n, 7) columns MOTION, speed and force not below
+    their floors; touch: (n, 9) columns TOUCH. Raises ValueError where shapes do not fit.
+    """
+    states = len(tokens)
+    _check(emitter, states, tokens, fixed, motion, touch)
+    x, expected = np.empty((states, emitter.inputs), dtype=np.float32), Expected.empty(states, emitter)
+    scratch = np.empty(emitter.room)
+    kernel.hnf_inputs(
+        ctypes.byref(emitter.tables.struct), ctypes.byref(emitter.struct), address(tokens, np.float64),
+        tokens.shape[1], address(fixed, np.float64), address(motion, np.float64), address(touch, np.float64), states,
+        address(scratch, np.float64), address(x, np.float32), ctypes.byref(expected.struct(states, emitter)),
+    )  # fmt: skip
+    return x, expected
+
+
+def emitted(kernel: ctypes.CDLL, emitter: Emitter, head: Float32, motion: Float, expected: Expected) -> Float:
+    """(n, K) amplitudes of what the head answers (n, outputs); 0 where nothing moves. Raises ValueError as inputs()."""
+    states = len(head)
+    if head.shape[1] != emitter.outputs or motion.shape != (states, len(MOTION)):
+        raise ValueError(f"{head.shape} answers for {motion.shape} states")
+    alpha, scratch = np.empty((states, emitter.carriers)), np.empty(emitter.tables.bands)
+    kernel.hnf_emitted(
+        ctypes.byref(emitter.tables.struct), ctypes.byref(emitter.struct), address(head, np.float32),
+        address(motion, np.float64), ctypes.byref(expected.struct(states, emitter)), states,
+        address(scratch, np.float64), address(alpha, np.float64),
+    )  # fmt: skip
+    return alpha
+
+
+class Layers:
+    """A network's weights (outputs, inputs) and biases in their order, the heads of α and of σ last.
+
+    Raises ValueError where one layer's outputs are not the next one's inputs.
+    """
+
+    def __init__(self, weights: Sequence[Float32], biases: Sequence[Float32]) -> None:
+        self._kept: list[NDArray[Any]] = [*weights, *biases]
+        shapes = [each.shape for each in weights]
+        hidden = shapes[-3][0] if len(shapes) > 2 else shapes[0][1]
+        chained = all(one[0] == other[1] for one, other in pairwise(shapes[:-2]))
+        fits = len(weights) == len(biases) >= 2 and chained and shapes[-1][1] == shapes[-2][1] == hidden
+        if not fits or any(len(bias) != shape[0] for bias, shape in zip(biases, shapes, strict=True)):
+            raise ValueError(f"layers of {shapes}")
+        self._weights, self._biases = (pointers([address(e, np.float32) for e in each]) for each in (weights, biases))
+        self._widths = np.array([shapes[0][1], *(shape[0] for shape in shapes)], dtype=np.int64)
+        self._count, self._scratch = len(weights) - 2, np.empty(2 * int(self._widths[:-2].max()), dtype=np.float32)
+        self._head, self._sigma = (np.empty(shape[0], dtype=np.float32) for shape in shapes[-2:])
+
+    def of(self, kernel: ctypes.CDLL, x: Float32) -> tuple[Float32, Float32]:
+        """What both heads answer to one state's inputs (D,). They are overwritten by the next call."""
+        if x.shape != (self._widths[0],):
+            raise ValueError(f"inputs of {x.shape} where {self._widths[0]} are taken")
+        kernel.hnf_layers(
+            self._weights, self._biases, address(self._widths, np.int64), self._count, address(x, np.float32),
+            address(self._scratch, np.float32), address(self._head, np.float32), address(self._sigma, np.float32),
+        )  # fmt: skip
+        return self._head, self._sigma
+
+
+def _check(emitter: Emitter, states: int, tokens: Float, fixed: Float, motion: Float, touch: Float) -> None:
+    shapes = fixed.shape, motion.shape, touch.shape
+    if shapes != ((states, emitter.fixed), (states, len(MOTION)), (states, len(TOUCH))):
+        raise ValueError(f"{states} tokens with {shapes}")
+    if tokens.shape[1] < emitter.token_size:
+        raise ValueError(f"tokens of {tokens.shape[1]} numbers, of which {emitter.token_size} are read")

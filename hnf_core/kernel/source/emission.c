@@ -1,0 +1,167 @@
+/* From states to what F_Theta takes, and from what it answers to amplitudes: the twins of build_inputs
+ * (hnf_core/field/features.py) and before_gate (field.py), where the reasons stand. */
+#include <math.h>
+#include <string.h>
+
+#include "fades.h"
+#include "sums.h"
+
+static double log_amplitude(double power, double quiet) { return 0.5 * log(power + quiet); }
+
+/* Power of each band in time when the surface passes at a speed: power (bands,) per arc band. */
+static void in_time(const hnf_emitter *e, const double *power, int64_t bands, double per_octave, double speed,
+                    double *sums, double *out)
+{
+    double octaves = per_octave * log2(speed), before = 0.0;
+    sums[0] = 0.0;
+    for (int64_t k = 0; k < bands; k++)
+        sums[k + 1] = sums[k] + power[k];
+    for (int64_t edge = 0; edge <= e->time_bands; edge++) {
+        double place = clipped(e->time_edge[edge] - octaves, 0.0, (double)bands);
+        int64_t low = (int64_t)place < bands ? (int64_t)place : bands - 1;
+        double here = sums[low] + (place - (double)low) * (sums[low + 1] - sums[low]);
+        if (edge)
+            out[edge - 1] = here - before;
+        before = here;
+    }
+}
+
+/* The token as the stroke meets it, where the field is told it so. */
+static void token_of(const hnf_tables *t, const hnf_emitter *e, const double *token, const hnf_motion *m, float *x)
+{
+    for (int64_t i = 0; i < e->token_size; i++)
+        x[i] = (float)((token[i] - e->token_shift[i]) * e->token_scale[i]);
+    if (!e->stroke_frame)
+        return;
+    double angle = atan2(m->y, m->x);
+    for (int fold = 2; fold <= 4; fold += 2) {
+        double c = cos(fold * angle), s = sin(fold * angle);
+        int64_t re = fold == 2 ? t->cos2 : t->cos4, im = fold == 2 ? t->sin2 : t->sin4;
+        for (int64_t band = 0; band < t->token_bands; band++) {
+            const double *f = token + band * t->features;
+            float *to = x + band * t->features;
+            to[re] = (float)((f[re] * c + f[im] * s - e->token_shift[band * t->features + re])
+                             * e->token_scale[band * t->features + re]);
+            to[im] = (float)((f[im] * c - f[re] * s - e->token_shift[band * t->features + im])
+                             * e->token_scale[band * t->features + im]);
+        }
+    }
+}
+
+/* x (states, inputs), which may be NULL, and what is expected. fixed: (states, fixed) inputs as they are. scratch: what
+ * hnf_linear_contact needs, and 3 * arc bands + time bands + 1 + 4 * token bands more. */
+void hnf_inputs(const hnf_tables *t, const hnf_emitter *e, const double *tokens, int64_t token_stride,
+                const double *fixed, const hnf_motion *motion, const hnf_touch *touch, int64_t states, double *scratch,
+                float *x, const hnf_expected *expected)
+{
+    int64_t lines = 2 * t->token_bands;
+    double *power = scratch, *noise = power + t->bands, *sums = noise + t->bands, *in_bands = sums + t->bands + 1;
+    double *line = in_bands + e->time_bands, *room = line + 2 * lines, normal;
+    for (int64_t state = 0; state < states; state++) {
+        const hnf_motion *m = motion + state;
+        double *prior = expected->prior + state * e->carriers, *level = expected->line + state * 2 * lines, all = 0.0;
+        hnf_contact contact = {power, noise, &normal, line, expected->low + state * lines};
+        hnf_linear_contact(t, tokens + state * token_stride, 0, touch + state, 1, room, &contact);
+        in_time(e, power, t->bands, t->per_octave, m->speed, sums, in_bands);
+        for (int64_t band = 0; band < e->time_bands; band++)
+            prior[band] = log_amplitude(in_bands[band] * e->time_share, e->quiet_power);
+        for (int64_t k = 0; k < t->bands; k++) {
+            prior[e->time_bands + k] = log_amplitude(e->line_gains ? noise[k] : power[k], e->quiet_power);
+            all += power[k];
+        }
+        for (int64_t j = 0; j < 2 * lines; j++)
+            level[j] = log_amplitude(line[j], e->quiet_line_power);
+        if (!x)
+            continue;
+        float *to = x + state * e->inputs;
+        token_of(t, e, tokens + state * token_stride, m, to);
+        for (int64_t i = 0; i < e->fixed; i++)
+            to[e->fixed_at + i] = (float)fixed[state * e->fixed + i];
+        int told = e->directed && !e->stroke_frame;
+        to += e->direction_at;
+        *to++ = told ? (float)m->x : 0.0f;
+        *to++ = told ? (float)m->y : 0.0f;
+        *to++ = (float)log(m->speed / e->pace);
+        *to++ = (float)log(m->force);
+        for (int64_t band = 0; band < e->time_bands; band++)
+            *to++ = (float)((log_amplitude(in_bands[band], e->quiet_power) + 5.0) / 3.0);
+        *to++ = (float)(0.5 * log_amplitude(all, e->quiet_power));
+        *to++ = (float)(0.5 * log(m->mass * sqrt(normal) / m->force + 1e-3));
+        *to = (float)log(m->resonance / e->pitch);
+    }
+}
+
+static double least(double a, double b) { return a < b ? a : b; }
+
+/* alpha (states, carriers) of what the head answers (states, outputs): per band in time, per knot of arc length, and a
+ * log gain for each tone and its harmonics. scratch: (arc bands,). */
+void hnf_emitted(const hnf_tables *t, const hnf_emitter *e, const float *head, const hnf_motion *motion,
+                 const hnf_expected *expected, int64_t states, double *scratch, double *alpha)
+{
+    int64_t lines = 2 * t->token_bands, gains = e->line_gains ? e->harmonics * lines : 0;
+    for (int64_t state = 0; state < states; state++, head += e->outputs) {
+        const hnf_motion *m = motion + state;
+        const double *prior = expected->prior + state * e->carriers, *level = expected->line + state * 2 * lines;
+        const int64_t *low = expected->low + state * lines;
+        const float *knots = head + e->time_bands, *gain = head + e->outputs - gains;
+        double *out = alpha + state * e->carriers, *arc = out + e->time_bands;
+        if (m->moving == 0.0) {
+            memset(out, 0, (size_t)e->carriers * sizeof(double));
+            continue;
+        }
+        for (int64_t band = 0; band < e->time_bands; band++)
+            out[band] = m->moving * exp(least(head[band] + e->skip[band] * prior[band], e->ceiling));
+        memset(scratch, 0, (size_t)t->bands * sizeof(double));
+        for (int64_t order = 0; order < (gains ? e->harmonics : 0); order++) {
+            for (int64_t j = 0; j < 2 * lines; j++) {
+                double from = gain[order * lines + j % lines] + e->harmonic_start[order];
+                int64_t at = low[j % lines] + e->harmonic_shift[order] + j / lines;
+                if (at >= 0 && at < t->bands)
+                    scratch[at] += exp(2.0 * least(from + level[j], e->ceiling));
+            }
+        }
+        for (int64_t k = 0; k < t->bands; k++) {
+            const float *knot = knots + e->knot[k];
+            double share = e->knot_share[k], own = knot[0] + (share > 0.0 ? share * (knot[1] - knot[0]) : 0.0);
+            double noise = exp(least(own + e->skip[e->time_bands + k] * prior[e->time_bands + k], e->ceiling));
+            arc[k] = (gains ? sqrt(noise * noise + scratch[k]) : noise) * m->moving * arc_gain(t->kappa[k] * m->speed);
+        }
+    }
+}
+
+/* out = W x + b, W (rows, columns). */
+static void layer(const float *weight, const float *bias, int64_t rows, int64_t columns, const float *x, float *out)
+{
+    for (int64_t row = 0; row < rows; row++, weight += columns) {
+        lanes one = {0}, two = {0};
+        int64_t k = 0;
+        for (; k + 2 * LANES <= columns; k += 2 * LANES) {
+            one += *(const lanes *)(weight + k) * *(const lanes *)(x + k);
+            two += *(const lanes *)(weight + k + LANES) * *(const lanes *)(x + k + LANES);
+        }
+        one += two;
+        float sum = ((one[0] + one[4]) + (one[2] + one[6])) + ((one[1] + one[5]) + (one[3] + one[7]));
+        for (; k < columns; k++)
+            sum += weight[k] * x[k];
+        out[row] = sum + bias[row];
+    }
+}
+
+/* One state through `layers` ReLU layers and two heads. weights, biases: (layers + 2), the heads last, that of alpha
+ * first. widths: (layers + 3) of the inputs, of each layer, and of the heads. scratch: two of the widest layer. */
+void hnf_layers(const float *const *weights, const float *const *biases, const int64_t *widths, int64_t layers,
+                const float *x, float *scratch, float *head, float *sigma)
+{
+    int64_t widest = 0;
+    for (int64_t i = 0; i <= layers; i++)
+        widest = widths[i] > widest ? widths[i] : widest;
+    for (int64_t i = 0; i < layers; i++) {
+        float *out = scratch + (i % 2) * widest;
+        layer(weights[i], biases[i], widths[i + 1], widths[i], x, out);
+        for (int64_t k = 0; k < widths[i + 1]; k++)
+            out[k] = out[k] > 0.0f ? out[k] : 0.0f;
+        x = out;
+    }
+    layer(weights[layers], biases[layers], widths[layers + 1], widths[layers], x, head);
+    layer(weights[layers + 1], biases[layers + 1], widths[layers + 2], widths[layers], x, sigma);
+}

@@ -1,0 +1,175 @@
+"""F_Θ's inputs and amplitudes by the compiled kernel: what numpy makes of them, for every form of field it knows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hnf_core.bench.synth_table import Grid, from_table, read_table, tabulate
+from hnf_core.field.carriers import Carriers
+from hnf_core.field.emitter import emitter_of, fits
+from hnf_core.field.field import Field, FieldConfig, evaluate, initial_parameters
+from hnf_core.field.linear_contact import Condition
+from hnf_core.field.network import heads
+from hnf_core.field.weights import load_field
+from hnf_core.kernel import emission
+from hnf_core.kernel.contact import TOUCH
+from hnf_core.kernel.emission import MOTION, Expected, Layers
+from hnf_core.kernel.library import kernel, plainly, why_not
+from hnf_core.material.library import find, load_library
+from hnf_core.material.mechanics import Mechanics
+from hnf_core.material.probe import PROBES
+
+needs_kernel = pytest.mark.skipif(kernel() is None, reason=f"no compiled kernel here: {why_not()}")
+SHARED, LIBRARY = load_field(), load_library()
+FORMS = {
+    "shipped": SHARED.config,
+    "directed": FieldConfig(hidden=24, layers=2, line_gains=True),
+    "undirected": FieldConfig(hidden=24, layers=1, directed=False),
+    "a value for each band": FieldConfig(hidden=24, layers=2, arc_knots=0, stroke_frame=True, line_gains=True),
+    "one knot": FieldConfig(hidden=24, layers=2, arc_knots=1),
+    "few carriers": FieldConfig(16, 2, carriers=Carriers(time_edges_hz=(5.0, 40.0, 300.0), arc_octaves=3), arc_knots=7),
+}
+
+
+def field_of(name: str) -> Field:
+    if name == "shipped":
+        return SHARED
+    rng, parameters = np.random.default_rng(3), initial_parameters(FORMS[name], 5)
+    heads_too = {
+        key: value + 0.1 * rng.standard_normal(value.shape).astype(np.float32) if key[:5] in ("alpha", "sigma", "skip")
+        else value for key, value in parameters.items()
+    }  # fmt: skip
+    return Field(FORMS[name], heads_too)
+
+
+def states(seed: int, count: int = 40, probe: str = "pen") -> Condition:
+    """Of two materials, some resting, some in the air, some faster and heavier than any hand."""
+    rng = np.random.default_rng(seed)
+    chosen = [LIBRARY[int(index)] for index in rng.choice(len(LIBRARY), 2)]
+    material, angle = rng.integers(0, 2, count).astype(np.int32), rng.uniform(-np.pi, np.pi, count)
+    tokens = np.array([chosen[index].token for index in material], dtype=np.float64)
+    known = chosen[1].mechanics if rng.random() < 0.5 else Mechanics(None, None, None)
+    return Condition(
+        tokens, (chosen[0].mechanics, known), material, np.stack([np.cos(angle), np.sin(angle)], axis=1),
+        np.where(rng.random(count) < 0.1, 0.0, np.exp(rng.uniform(-9.0, 1.0, count))),
+        np.where(rng.random(count) < 0.1, 0.0, np.exp(rng.uniform(-6.0, 3.0, count))), rng.random(count) < 0.9, probe,
+    )  # fmt: skip
+
+
+@needs_kernel
+@pytest.mark.parametrize("name", FORMS)
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 10**6), st.sampled_from(sorted(PROBES)))
+def test_what_is_emitted_is_what_numpy_says(name, seed, probe):
+    field, condition = field_of(name), states(seed, probe=probe)
+    assert fits(field.config)
+    found = evaluate(field, condition)
+    with plainly():
+        wanted = evaluate(field, condition)
+    assert found.alpha.shape == wanted.alpha.shape
+    assert wanted.alpha.max() > 0.0
+    np.testing.assert_allclose(found.alpha, wanted.alpha, rtol=2e-5, atol=1e-7 * wanted.alpha.max())
+    np.testing.assert_allclose(found.sigma_dt, wanted.sigma_dt, rtol=2e-5, atol=1e-6)
+    still = ~condition.contact | (condition.speed == 0.0) | (condition.force == 0.0)
+    assert not found.alpha[still].any()
+
+
+def test_a_form_that_the_kernel_does_not_know_is_evaluated_by_numpy():
+    published = FieldConfig.published(16)
+    bare = FieldConfig(16, 1, physics=False)
+    encoded = FieldConfig(16, 1, action_octaves=2)
+    for config in (published, bare, encoded, replace(bare, carriers=Carriers(arc_octaves=0))):
+        assert not fits(config)
+        found = evaluate(Field(config, initial_parameters(config, 1)), states(4))
+        assert found.alpha.shape == (40, config.alpha_heads, config.carriers.count)
+
+
+@needs_kernel
+@given(st.integers(0, 10**6), st.lists(st.integers(1, 70), min_size=3, max_size=6))
+def test_one_state_through_the_layers_is_the_product_of_matrices(seed, widths):
+    rng, compiled = np.random.default_rng(seed), kernel()
+    shapes = [(rows, columns) for columns, rows in pairwise(widths[:-1])]
+    names = [f"layer{index}" for index in range(len(shapes))]
+    shapes += [(widths[-1], shapes[-1][0] if shapes else widths[0]), (3, shapes[-1][0] if shapes else widths[0])]
+    parameters = {}
+    for name, shape in zip([*names, "alpha", "sigma"], shapes, strict=True):
+        parameters[f"{name}.weight"] = rng.standard_normal(shape).astype(np.float32)
+        parameters[f"{name}.bias"] = rng.standard_normal(shape[0]).astype(np.float32)
+    x = rng.standard_normal(widths[0]).astype(np.float32)
+    layers = Layers([parameters[f"{n}.weight"] for n in [*names, "alpha", "sigma"]],
+                    [parameters[f"{n}.bias"] for n in [*names, "alpha", "sigma"]])  # fmt: skip
+    for found, wanted in zip(layers.of(compiled, x), heads(parameters, len(names), x[None]), strict=True):
+        np.testing.assert_allclose(found, wanted[0], rtol=1e-4, atol=1e-4 * np.abs(wanted).max())
+
+
+class Refuses:
+    """A kernel that must not be called."""
+
+    def __getattr__(self, name: str):
+        return lambda *given: pytest.fail(f"{name} was called")
+
+
+def test_what_the_kernel_would_misread_never_reaches_it():
+    none, config = Refuses(), SHARED.config
+    skip = SHARED.parameters["skip"].tobytes()
+    emitter = emitter_of(config, skip, "pen", 6.0)
+    tokens, fixed = np.ones((2, emitter.token_size)), np.ones((2, emitter.fixed))
+    motion, touch = np.ones((2, len(MOTION))), np.ones((2, len(TOUCH)))
+    for wrong in (
+        (tokens[:1], fixed, motion, touch), (tokens[:, 1:], fixed, motion, touch), (tokens, fixed[1:], motion, touch),
+        (tokens, fixed, motion[:, 1:], touch), (tokens, fixed, motion, touch[1:]),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match="tokens"):
+            emission.inputs(none, emitter, *wrong)
+    with pytest.raises(TypeError, match="float64"):
+        emission.inputs(none, emitter, tokens.astype(np.float32), fixed, motion, touch)
+    expected, head = Expected.empty(2, emitter), np.ones((2, emitter.outputs), np.float32)
+    for wrong in ((head[:, 1:], motion, expected), (head, motion[:1], expected)):
+        with pytest.raises(ValueError, match="answers"):
+            emission.emitted(none, emitter, *wrong)
+    with pytest.raises(ValueError, match="expected"):
+        emission.emitted(none, emitter, head, motion, Expected.empty(3, emitter))
+    for change in ({"arc_knots": 99}, {"line_gains": False, "hidden": 8}):
+        fewer = replace(config, **change)
+        assert emitter_of(fewer, skip, "pen", 6.0).outputs == fewer.alpha_outputs
+    with pytest.raises(ValueError, match="carriers"):
+        emitter_of(config, skip[4:], "pen", 6.0)
+    weights = [np.ones((3, 2), np.float32), np.ones((4, 3), np.float32), np.ones((5, 3), np.float32)]
+    biases = [np.ones(3, np.float32), np.ones(4, np.float32), np.ones(5, np.float32)]
+    with pytest.raises(ValueError, match="inputs"):
+        Layers(weights, biases).of(none, np.ones(3, np.float32))
+    for wrong in ((weights[::-1], biases), (weights, biases[::-1]), (weights[1:], biases)):
+        with pytest.raises(ValueError, match="layers"):
+            Layers(*wrong)
+    with pytest.raises(TypeError, match="float32"):
+        Layers([each.astype(float) for each in weights], biases)
+
+
+def test_a_table_answers_what_the_network_does():
+    """At its own points exactly, between them nearer where it is finer, and once for a material that has no grain."""
+    leather = find("leather")
+    token = leather.token.astype(np.float32)
+    table = tabulate(SHARED, token, leather.mechanics, "pen", Grid(4, 2, 1))
+    directions, speeds, forces, _ = table.values.shape
+    rng = np.random.default_rng(2)
+    d, v, f = (rng.integers(0, count - 1, 30) for count in (directions, speeds, forces))
+    angle = d * table.angle_step + np.pi * rng.integers(0, 2, 30)
+    at = Condition(
+        np.tile(token.astype(np.float64), (30, 1)), (leather.mechanics,), np.zeros(30, np.int32),
+        np.stack([np.cos(angle), np.sin(angle)], axis=1), np.exp(table.speed[0] + v * table.speed[1]),
+        np.exp(table.force[0] + f * table.force[1]), np.ones(30, bool), "pen",
+    )  # fmt: skip
+    np.testing.assert_allclose(read_table(table, at), table.values[d, v, f], atol=1e-5)
+    between = replace(at, speed=at.speed * 1.1, force=at.force * 1.2)
+    wanted, missed = evaluate(SHARED, between).alpha, []
+    for grid in (Grid(4, 2, 1), Grid(4, 16, 4)):
+        finer = tabulate(SHARED, token, leather.mechanics, "pen", grid)
+        missed.append(np.square(from_table(finer, SHARED, between).alpha - wanted).sum() / np.square(wanted).sum())
+    assert missed[1] < 0.25 * missed[0]
+    assert missed[1] < 1e-3
