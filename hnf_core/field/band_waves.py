@@ -76,11 +76,14 @@ def real_waves(bins: Complex, plan: WavePlan) -> Float32:
             ahead.real * cosine - ahead.imag * sine, back.real * cosine + back.imag * sine
         )
     if len(plan.broad):
-        spectra = np.zeros((len(plan.broad), plan.size // 2 + 1), dtype=np.complex128)
+        # As long as what comes out, though half is read: numpy 1 would copy it to that length.
+        spectra = np.zeros((len(plan.broad), plan.size), dtype=np.complex128)
         for spectrum, band in zip(spectra, plan.broad, strict=True):
             low, high = plan.starts[band], plan.starts[band + 1]
             spectrum[low:high] = bins[low - plan.starts[0] : high - plan.starts[0]]
-        out[plan.broad] = np.fft.irfft(spectra, plan.size) * (plan.size * plan.window.astype(np.float64))
+        waves = np.fft.irfft(spectra, plan.size)
+        waves *= plan.size * plan.window.astype(np.float64)
+        out[plan.broad] = waves
     return out
 
 
