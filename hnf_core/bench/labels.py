@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 Float = NDArray[np.float64]
 Box = tuple[float, float, float, float]
 """Left, bottom, right, top."""
+Line = tuple[tuple[float, float], tuple[float, float]]
 
 MARK_PX = 7.0
 """Half the side of a point's mark, its surroundings included."""
@@ -17,23 +19,60 @@ RING_PX, RINGS = 12.0, 12
 ANGLES = np.radians([0, 180, 90, 270, 45, 315, 135, 225, 22, 338, 158, 202, 67, 293, 113, 247])
 
 
-def place_labels(anchors: Float, sizes: Float, frame: Box, taken: Sequence[Box] = ()) -> tuple[Box, ...] | None:
+@dataclass(frozen=True)
+class Placed:
+    """boxes: one for each label. crossed: names and marks that lines from points to their names run over."""
+
+    boxes: tuple[Box, ...]
+    crossed: int
+
+
+def place_labels(anchors: Float, sizes: Float, frame: Box, taken: Sequence[Box] = ()) -> Placed | None:
     """A box for each label: within frame, over no point's mark, no other label and nothing taken; None where no room is
     left.
 
     anchors: (n, 2) points. sizes: (n, 2) width and height of the labels. Nearest places first, the right side before
-    the others.
+    the others, among those whose line to their point runs over the fewest names and other marks.
     """
     marks = [(x - MARK_PX, y - MARK_PX, x + MARK_PX, y + MARK_PX) for x, y in anchors.tolist()]
     placed: list[Box] = []
-    for anchor, size in zip(anchors.tolist(), sizes.tolist(), strict=True):
+    lines: list[Line] = []
+    total = 0
+    for own, anchor, size in zip(marks, anchors.tolist(), sizes.tolist(), strict=True):
         there = [*marks, *placed, *taken]
-        free = (box for box in _around(anchor, size) if _within(box, frame) and not overlaps(box, there))
-        box = next(free, None)
+        free = [box for box in _around(anchor, size) if _within(box, frame) and not overlaps(box, there)]
+        others = [*(mark for mark in marks if not overlaps(mark, [own])), *placed]
+
+        def crossed(box: Box, anchor: Sequence[float] = anchor, others: Sequence[Box] = others) -> int:
+            line = line_to(anchor, box)
+            return sum(crosses(line, other) for other in others) + sum(crosses(line, box) for line in lines)
+
+        box = min(free, key=crossed, default=None)
         if box is None:
             return None
+        total += crossed(box)
         placed.append(box)
-    return tuple(placed)
+        lines.append(line_to(anchor, box))
+    return Placed(tuple(placed), total)
+
+
+def line_to(anchor: Sequence[float], box: Box) -> Line:
+    """From a point to the middle of its name."""
+    return (anchor[0], anchor[1]), (0.5 * (box[0] + box[2]), 0.5 * (box[1] + box[3]))
+
+
+def crosses(line: Line, box: Box) -> bool:
+    """Does a line enter a box? (Y.-D. Liang & B. A. Barsky 1984, a new concept and method for line clipping.)"""
+    (x, y), (to_x, to_y) = line
+    begin, end = 0.0, 1.0
+    for start, step, low, high in ((x, to_x - x, box[0], box[2]), (y, to_y - y, box[1], box[3])):
+        if step == 0.0:
+            if not low < start < high:
+                return False
+            continue
+        near, far = sorted(((low - start) / step, (high - start) / step))
+        begin, end = max(begin, near), min(end, far)
+    return begin < end
 
 
 def overlaps(box: Box, others: Sequence[Box]) -> bool:

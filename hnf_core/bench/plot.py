@@ -15,7 +15,7 @@ from ..export.tracks import INK, QUIET
 from .axes import Axis, decibel_axis, log_axis
 from .curves import Curve, curves
 from .frame import Row
-from .labels import Box, place_labels
+from .labels import Box, Placed, place_labels
 from .pareto import PER_SIGNAL, Trade, pareto, trades
 from .table import duration
 
@@ -28,7 +28,7 @@ FRONT, REST = "#0072b2", "#d55e00"
 # Okabe & Ito: apart under every common colour blindness; marks differ as well.
 LINES = (("#0072b2", "o"), ("#d55e00", "s"), ("#009e73", "^"), ("#cc79a7", "D"), ("#5c6672", "v"))
 WIDTH_PX, LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 900, 92, 24, 46, 58
-PLAIN_PX, CURVE_PX, GROW, MOST_PX = 300, 190, 1.3, 6000
+PLAIN_PX, ROOMY_PX, CURVE_PX, GROW, MOST_PX = 300, 800, 190, 1.3, 6000
 LETTER_PX, WIDE_PX, LABEL_PX, LABEL_SIZE = 8.4, 13.5, 17.0, 9.5
 """What a letter of LABEL_SIZE takes at most, a wide one, and a line of them upwards."""
 WIDE = frozenset("mwMWOQGCDHNU@%…—×")
@@ -84,7 +84,8 @@ def check_suffix(path: Path) -> None:
 
 
 def drawn(trade: Trade) -> Drawing:
-    """The panel grows until every label has its own room. Raises UsageError where it would grow too large."""
+    """The panel grows until every label has its own room, and to ROOMY_PX for lines that cross none. Raises UsageError
+    where it would grow too large."""
     errors = [point.error for point in trade.points]
     error = decibel_axis(errors) if trade.unit == "dB" else log_axis(errors, lambda value: f"{value:g}")
     time = log_axis([point.time for point in trade.points], duration if _is_seconds(trade) else lambda v: f"{v:g}")
@@ -93,16 +94,21 @@ def drawn(trade: Trade) -> Drawing:
     places = np.array([(error.place(point.error), time.place(point.time)) for point in trade.points])
     front = np.array(_front(trade, error, time))
     low, length = np.array([error.low, time.low]), np.array([error.high - error.low, time.high - time.low])
-    height = float(PLAIN_PX)
-    while height <= MOST_PX:
+    height, found = float(PLAIN_PX), list[tuple[Placed, int]]()
+    while height <= (ROOMY_PX if found else MOST_PX):
         pixels = np.array([wide, height]) / length
         corners = (front - low) * pixels
         ends = zip(corners[:-1].tolist(), corners[1:].tolist(), strict=True)
         drawn_over = [box for start, end in ends for box in _step(start, end)]
         labels = place_labels((places - low) * pixels, sizes, (2.0, 2.0, wide - 2.0, height - 2.0), drawn_over)
         if labels is not None:
-            return Drawing(trade, error, time, labels, round(height))
+            found.append((labels, round(height)))
+            if labels.crossed == 0:
+                break
         height *= GROW
+    if found:
+        labels, tall = min(found, key=lambda each: each[0].crossed)
+        return Drawing(trade, error, time, labels.boxes, tall)
     raise UsageError(
         f"the names of {len(sizes)} methods do not fit into one panel.", where=f"bench '{trade.bench}'",
         remedy="Plot one bench at a time: hnf bench NAME --plot FILE.",

@@ -14,7 +14,7 @@ from hnf_core.bench.axes import decibel_axis, log_axis
 from hnf_core.bench.curves import curves, with_exponents
 from hnf_core.bench.exponent import exponent
 from hnf_core.bench.frame import Bench, Row, Size, Spread
-from hnf_core.bench.labels import MARK_PX, overlaps, place_labels
+from hnf_core.bench.labels import MARK_PX, crosses, line_to, overlaps, place_labels
 from hnf_core.bench.pareto import Point, dominates, pareto, trades
 from hnf_core.bench.plot import drawn, write_plot
 from hnf_core.bench.table import duration, markdown
@@ -57,9 +57,10 @@ def test_the_front_does_not_follow_the_order(points, random):
 def test_labels_lie_over_no_mark_and_no_other_label(anchors, letters):
     sizes = np.array([(7.0 * letters[k], 16.0) for k in range(len(anchors))])
     frame, line = (0.0, 0.0, 784.0, 1000.0), (0.0, 480.0, 784.0, 484.0)
-    boxes = place_labels(np.array(anchors), sizes, frame, [line])
-    if boxes is None:
+    placed = place_labels(np.array(anchors), sizes, frame, [line])
+    if placed is None:
         return  # the panel grows then: see below
+    boxes = placed.boxes
     marks = [(x - MARK_PX, y - MARK_PX, x + MARK_PX, y + MARK_PX) for x, y in anchors]
     for k, box in enumerate(boxes):
         assert not overlaps(box, [*boxes[:k], *boxes[k + 1 :], *marks, line])
@@ -68,6 +69,28 @@ def test_labels_lie_over_no_mark_and_no_other_label(anchors, letters):
         assert box[2] <= frame[2]
         assert frame[1] <= box[1]
         assert box[3] <= frame[3]
+
+
+def test_a_name_goes_where_its_line_runs_over_no_other_name():
+    """Points close together, as the methods of synthesis are."""
+    anchors = [(560, 60), (560, 175), (560, 284), (624, 145), (624, 277), (624, 280), (656, 308), (742, 368)]
+    sizes = np.array([(150.0, 16.0)] * len(anchors))
+    placed = place_labels(np.array(anchors, dtype=float), sizes, (0.0, 0.0, 784.0, 500.0))
+    assert placed is not None
+    assert placed.crossed == 0
+    for k, (anchor, box) in enumerate(zip(anchors, placed.boxes, strict=True)):
+        for other in (*placed.boxes[:k], *placed.boxes[k + 1 :]):
+            assert not crosses(line_to(anchor, box), other)
+
+
+@given(st.tuples(*[st.floats(-9.0, 9.0)] * 4))
+def test_a_line_enters_a_box_where_one_of_its_points_does(ends):
+    line, box = ((ends[0], ends[1]), (ends[2], ends[3])), (-3.0, -2.0, 4.0, 5.0)
+    share = np.linspace(0.0, 1.0, 4001)
+    x, y = (line[0][axis] + share * (line[1][axis] - line[0][axis]) for axis in range(2))
+    wide = ((x > box[0] - 0.01) & (x < box[2] + 0.01) & (y > box[1] - 0.01) & (y < box[3] + 0.01)).any()
+    narrow = ((x > box[0] + 0.01) & (x < box[2] - 0.01) & (y > box[1] + 0.01) & (y < box[3] - 0.01)).any()
+    assert narrow <= crosses(line, box) <= wide
 
 
 @given(POINTS)
