@@ -5,7 +5,7 @@
     .venv/bin/python tools/build_kernel.py --install PYTHON…        for this machine, into these environments
 
 The sources are hnf_core/kernel/source; the compiler is zig's (pinned, from the package index), which builds for every
-platform on any. Where there is no kernel, numpy does the same work, in a third more time.
+platform on any. Where there is no kernel, numpy does the same work, in up to twice the time.
 """
 
 from __future__ import annotations
