@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..blas import one_blas_thread
-from ..kernel import texture as kernel_texture
+from ..kernel import hop as kernel_hop
+from ..kernel.hop import Piece
 from ..kernel.library import kernel
-from ..kernel.texture import Between, Octave, Piece
 from .carriers import MODEL_RATE_HZ, Carriers
 from .hops import ARC_CELLS, ARC_HOP, CELL, MIDDLE, arc_hop
 from .linear_contact import BAND_END_HZ
-from .texture import cell_weights, powers
+from .texture import cell_weights, hop_tables
 from .timeline import SAMPLES_PER_STATE
 
 Float = NDArray[np.float64]
@@ -34,7 +34,6 @@ AUDIBLE_SOON = 1.5
 """Octaves up to this factor above the band are made too: the hand may slow down."""
 TURNS_A_CELL = MIDDLE / ARC_CELLS
 _SHARE = (np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE).astype(np.float32)
-_BETWEEN = Between.of(np.zeros(SAMPLES_PER_STATE, dtype=np.intp), _SHARE)
 _CELLS = np.arange(4)[:, None, None]
 
 
@@ -77,21 +76,41 @@ class LiveArc:
     def read(self, pair: Single, octaves: NDArray[np.intp], place: Float) -> Float:
         """Σ_k A_k c_k(s) (SAMPLES_PER_STATE,) of octaves at place [m]. pair: (2, every octave, 24) amplitudes at the
         state before and at this one, linear between."""
-        least, most = float(place.min()), float(place.max())
-        read = [self._octave(pair, octave, least, most) for octave in octaves.tolist()]
         compiled = kernel()
-        if compiled is not None:
-            return kernel_texture.in_arc(compiled, read, TURNS_A_CELL, place, powers(), _BETWEEN).astype(np.float64)
-        return _read_plainly(read, place)
+        if compiled is None:
+            return self._read_plainly(pair, octaves.tolist(), place)
+        tables, flat = hop_tables(self._carriers), pair.reshape(2, -1)
+        found = kernel_hop.arcs(compiled, tables, flat, octaves.tolist(), place, _SHARE, self._piece)
+        return found.astype(np.float64)
 
-    def _octave(self, pair: Single, octave: int, least: float, most: float) -> Octave:
-        per_m, kept = self._per_m[octave], self._kept[octave]
-        first, last = (math.floor(least * per_m) - 1) // ARC_HOP, (math.floor(most * per_m) + 2) // ARC_HOP
-        for hop in range(first, last + 1):
-            if hop not in kept:
-                self._make(octave, hop)
-                self.at_once += 1
-        return Octave(pair[:, octave], [kept[hop] for hop in range(first, last + 1)], first * ARC_HOP, per_m)
+    def _piece(self, octave: int, hop: int) -> Piece:
+        kept = self._kept[octave]
+        if hop not in kept:
+            self._make(octave, hop)
+            self.at_once += 1
+        return kept[hop]
+
+    def _read_plainly(self, pair: Single, octaves: list[int], place: Float) -> Float:
+        """In numpy, all octaves at once."""
+        at = place * np.array([[self._per_m[octave]] for octave in octaves])
+        floor = np.floor(at)
+        cell, low, high = floor.astype(np.int64), floor.min(axis=1).astype(int) - 1, floor.max(axis=1).astype(int) + 3
+        offset = np.concatenate([[0], np.cumsum(high - low)])
+        summed = np.empty((2, offset[-1]), dtype=np.complex64)
+        for octave, first, last, start in zip(octaves, low.tolist(), high.tolist(), offset.tolist(), strict=False):
+            hops = range(first // ARC_HOP, (last - 1) // ARC_HOP + 1)
+            pieces = [self._piece(octave, hop).waves for hop in hops]
+            waves = pieces[0] if len(pieces) == 1 else np.concatenate(pieces, axis=1)
+            inside = slice(first - hops.start * ARC_HOP, last - hops.start * ARC_HOP)
+            part = pair[:, octave] @ waves[:, inside].copy().view(np.float32)
+            summed[:, start : start + last - first] = part.view(np.complex64)
+        taps = _CELLS + (offset[:-1, None] + cell - 1 - low[:, None])
+        weights = np.stack(cell_weights((at - floor).astype(np.float32)))
+        here, after = (summed.take(taps, axis=1) * weights).sum(axis=1)
+        turn = at * TURNS_A_CELL
+        angle = (2.0 * np.pi * (turn - np.floor(turn))).astype(np.float32)
+        spun = here + _SHARE * (after - here)
+        return np.asarray((spun.real * np.cos(angle) - spun.imag * np.sin(angle)).sum(axis=0), dtype=np.float64)
 
     def _make(self, octave: int, hop: int) -> None:
         kept = self._kept[octave]
@@ -100,24 +119,3 @@ class LiveArc:
         # Without the kernel it is a product of matrices, for which OpenBLAS would wake threads and wait for them.
         with nullcontext() if kernel() is not None else one_blas_thread():
             kept[hop] = Piece.of(arc_hop(self._carriers, self._seed, octave, hop))
-
-
-def _read_plainly(octaves: list[Octave], place: Float) -> Float:
-    """In numpy, all octaves at once."""
-    at = place * np.array([[octave.per_m] for octave in octaves])
-    floor = np.floor(at)
-    cell, low, high = floor.astype(np.int64), floor.min(axis=1).astype(int) - 1, floor.max(axis=1).astype(int) + 3
-    offset = np.concatenate([[0], np.cumsum(high - low)])
-    summed = np.empty((2, offset[-1]), dtype=np.complex64)
-    for octave, first, last, start in zip(octaves, low.tolist(), high.tolist(), offset.tolist(), strict=False):
-        waves, inside = octave.pieces[0].waves, slice(first - octave.first, last - octave.first)
-        if inside.stop > ARC_HOP:
-            waves = np.concatenate([piece.waves for piece in octave.pieces], axis=1)
-        part = octave.amplitude @ waves[:, inside].copy().view(np.float32)
-        summed[:, start : start + last - first] = part.view(np.complex64)
-    taps = _CELLS + (offset[:-1, None] + cell - 1 - low[:, None])
-    here, after = (summed.take(taps, axis=1) * np.stack(cell_weights((at - floor).astype(np.float32)))).sum(axis=1)
-    turn = at * TURNS_A_CELL
-    angle = (2.0 * np.pi * (turn - np.floor(turn))).astype(np.float32)
-    spun = here + _SHARE * (after - here)
-    return np.asarray((spun.real * np.cos(angle) - spun.imag * np.sin(angle)).sum(axis=0), dtype=np.float64)

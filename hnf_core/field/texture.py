@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..kernel import hop as kernel_hop
-from ..kernel.hop import HopTables
+from ..kernel.hop import HopTables, Piece
 from ..kernel.library import kernel
-from ..kernel.texture import Piece
 from .carriers import ARC_PER_OCTAVE, MODEL_RATE_HZ, Carriers
 from .hops import (
     ARC_CELLS,
@@ -195,29 +194,23 @@ def _in_arc(near: Knots, carriers: Carriers, seed: int, octaves: list[int], plac
 def _compiled_hop(compiled: CDLL, near: Knots, carriers: Carriers, seed: int, place: Float, hop: int) -> Float:
     sounds = carriers.time_count and np.any(near.amplitude[:, carriers.time_slice])
     return kernel_hop.hop(
-        compiled, _tables(carriers), near.at, near.amplitude, hop * HOP, np.ascontiguousarray(place),
+        compiled, hop_tables(carriers), near.at, near.amplitude, hop * HOP, np.ascontiguousarray(place),
         time_hop(carriers, seed, hop) if sounds else None,
         lambda octave, number: Piece.of(arc_hop(carriers, seed, octave, number)),
     )  # fmt: skip
 
 
 @lru_cache(maxsize=8)
-def _tables(carriers: Carriers) -> HopTables:
+def hop_tables(carriers: Carriers) -> HopTables:
     levels = time_levels(carriers)
     return HopTables(
         margin=np.array(MARGINS), time_band=np.array([each.start for each in levels]),
         time_bands=np.array([each.stop - each.start for each in levels]),
         cells_per_m=np.array([1.0 / (CELL * carriers.arc_step_m(each)) for each in range(carriers.arc_octaves)]),
-        half_band=_half_band(), cubic=powers(), hop=HOP, reach=REACH, time_first=carriers.time_slice.start,
+        half_band=_half_band(), cubic=np.array(_cubic()), hop=HOP, reach=REACH, time_first=carriers.time_slice.start,
         arc_first=carriers.arc_slice.start, bands=ARC_PER_OCTAVE, piece_cells=ARC_HOP, rate=MODEL_RATE_HZ,
         highest=HIGHEST, band_end=BAND_END_HZ, lowest=carriers.arc_start_per_m, turns=MIDDLE / ARC_CELLS,
     )  # fmt: skip
-
-
-@lru_cache(maxsize=1)
-def powers() -> Float32:
-    """(4, 4) per cell, the powers of t in cell_weights."""
-    return np.array(_cubic(), dtype=np.float32)
 
 
 def _cells(carriers: Carriers, seed: int, octave: int, first: int, last: int) -> NDArray[np.complex64]:

@@ -1,18 +1,17 @@
-"""Compiled: a hop of the carriers, modulated (its twin in numpy is texture_hop in field/texture.py), and where the hand
-is between states (position_beyond in field/plain.py)."""
+"""Compiled: a hop of the carriers, modulated (its twin in numpy is texture_hop in field/texture.py), what a live hand
+reads of them between two states (field/live_arc.py), and where the hand is between states (field/plain.py)."""
 
 from __future__ import annotations
 
 import ctypes
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .library import address, pointers, rows
-from .texture import Piece
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -27,6 +26,17 @@ _READING = 8
 _FIRST_CELL, _LAST_CELL, _PIECE = 4, 5, 6
 _ROOM = 64
 """Readings that are expected: one for each octave where a hand does not jump."""
+
+
+class Piece(NamedTuple):
+    """waves: (B, cells), contiguous. address: of its numbers, worked out once."""
+
+    waves: NDArray[np.complex64]
+    address: int
+
+    @staticmethod
+    def of(waves: NDArray[np.complex64]) -> Piece:
+        return Piece(waves, address(waves, np.complex64))
 
 
 class _Struct(ctypes.Structure):
@@ -57,7 +67,7 @@ class HopTables:
         arrays = (margin, time_band, time_bands, cells_per_m, half_band, cubic)
         wanted: Sequence[Any] = (np.int64, np.int64, np.int64, np.float64, np.float32, np.float32)
         self._kept = [np.ascontiguousarray(each, dtype=kind) for each, kind in zip(arrays, wanted, strict=True)]
-        self.levels, self.octaves = len(margin), len(cells_per_m)
+        self.levels, self.octaves, self.cells_per_m = len(margin), len(cells_per_m), cells_per_m.tolist()
         given = {"levels": self.levels, "octaves": self.octaves, "taps": len(half_band) // 2, **numbers}
         self.hop, self.reach = int(numbers["hop"]), int(numbers["reach"])
         self.bands, self.piece_cells = int(numbers["bands"]), int(numbers["piece_cells"])
@@ -102,7 +112,8 @@ def hop(
         raise ValueError(f"amplitudes of {amplitude.shape[1]} carriers, of which {tables.columns} are read")
     knots = _Knots(address(at, np.int64), *_of_rows(amplitude))
     given = ctypes.byref(tables.struct), ctypes.byref(knots), first, address(place, np.float64)
-    readings, table = _readings(kernel, given, tables, piece)
+    readings = _planned(kernel, given)
+    table = _gathered(tables, readings, piece)
     cells = int((readings[:, _LAST_CELL] - readings[:, _FIRST_CELL]).max(initial=0)) + 1
     scratch, out = np.empty(3 * sum(tables.kept) + 2 * cells), np.empty(tables.hop)
     kernel.hnf_hop(
@@ -112,19 +123,54 @@ def hop(
     return out
 
 
-def _readings(
-    kernel: ctypes.CDLL, given: tuple[Any, ...], tables: HopTables, piece: Callable[[int, int], Piece]
-) -> tuple[Integers, list[Piece]]:
+def arcs(
+    kernel: ctypes.CDLL, tables: HopTables, amplitude: Float32, octaves: Sequence[int], place: Float,
+    share: Float32, piece: Callable[[int, int], Piece],
+) -> Float32:  # fmt: skip
+    """(n,) Σ_k A_k c_k(s) of octaves at place (n,) [m], between two knots.
+
+    amplitude: (2, octaves · bands) at the knots. share: (n,) of the way from one to the other. piece: as of hop().
+    Raises ValueError where these do not fit, or a place is not finite.
+    """
+    least, most = float(place.min()), float(place.max())
+    if not math.isfinite(least + most):
+        raise ValueError(f"places from {least} to {most} m")
+    fits = amplitude.shape == (2, tables.octaves * tables.bands) and len(share) == len(place)
+    if not fits or not all(0 <= octave < tables.octaves for octave in octaves):
+        raise ValueError(f"octaves {list(octaves)} of amplitudes {amplitude.shape} at {len(place)} places")
+    readings = np.zeros((len(octaves), _READING), dtype=np.int64)
+    for reading, octave in zip(readings, octaves, strict=True):
+        per_m = tables.cells_per_m[octave]
+        cells = math.floor(least * per_m) - 1, math.floor(most * per_m) + 2
+        reading[:_PIECE] = octave, 0, 0, len(place), *cells
+    table = _gathered(tables, readings, piece)
+    longest = int((readings[:, _LAST_CELL] - readings[:, _FIRST_CELL]).max(initial=0)) + 1
+    scratch, out = np.empty(2 * longest), np.empty(len(place), dtype=np.float32)
+    row = np.zeros(len(place), dtype=np.int64)
+    kernel.hnf_read_arcs(
+        ctypes.byref(tables.struct), *rows(amplitude), pointers([each.address for each in table]),
+        address(readings, np.int64), len(readings), address(place, np.float64),
+        address(row, np.int64), address(share, np.float32), len(place),
+        address(scratch, np.float64), address(out, np.float32),
+    )  # fmt: skip
+    return out
+
+
+def _planned(kernel: ctypes.CDLL, given: tuple[Any, ...]) -> Integers:
     room = _ROOM
     while True:
         readings = np.empty((room, _READING), dtype=np.int64)
         count = int(kernel.hnf_plan_hop(*given, room, address(readings, np.int64)))
         if count <= room:
-            break
+            return readings[:count]
         room = count
-    readings, cells = readings[:count], tables.piece_cells
+
+
+def _gathered(tables: HopTables, readings: Integers, piece: Callable[[int, int], Piece]) -> list[Piece]:
+    """The pieces of all readings, which are told where theirs begin."""
     table: list[Piece] = []
     numbered: dict[tuple[int, int], Piece] = {}
+    cells = tables.piece_cells
     for reading, (octave, first, last) in enumerate(readings[:, [0, _FIRST_CELL, _LAST_CELL]].tolist()):
         readings[reading, _PIECE:] = len(table), first // cells * cells
         for number in range(first // cells, last // cells + 1):
@@ -133,7 +179,7 @@ def _readings(
                 raise ValueError(f"a piece of {found.waves.shape} where {tables.bands} bands of {cells} cells are read")
             numbered[octave, number] = found
             table.append(found)
-    return readings, table
+    return table
 
 
 def _waves(tables: HopTables, waves: Sequence[Float32]) -> bytes:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-ABI = 3
+ABI = 4
 """hnf_kernel.h's HNF_ABI: another one has other functions."""
 SWITCH = "HNF_KERNEL"
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
@@ -31,9 +31,9 @@ _SIGNATURES = {
         _Pointer, _Pointer, _Integer, _Pointer, _Pointer, _Pointer, _Pointer, _Integer, _Pointer, _Pointer,
     ),
     "hnf_place": (_Pointer, _Integer, _Integer, _Integer, _Integer, _Pointer),
-    "hnf_read_arc": (
-        _Pointer, _Integer, _Integer, _Pointer, _Integer, _Integer, _Number, _Number, _Pointer, _Pointer, _Pointer,
-        _Pointer, _Integer, _Pointer, _Pointer,
+    "hnf_read_arcs": (
+        _Pointer, _Pointer, _Integer, _Pointer, _Pointer, _Integer, _Pointer, _Pointer, _Pointer, _Integer, _Pointer,
+        _Pointer,
     ),
     "hnf_linear_contact": (_Pointer, _Pointer, _Integer, _Pointer, _Integer, _Pointer, _Pointer),
     "hnf_inputs": (

@@ -32,11 +32,10 @@ from hnf_core.kernel import hop as kernel_hop
 from hnf_core.kernel import library
 from hnf_core.kernel.contact import FEATURES, TOUCH, Tables, add_rows
 from hnf_core.kernel.contact import linear_contact as compiled_contact
-from hnf_core.kernel.hop import HopTables
+from hnf_core.kernel.hop import HopTables, Piece
 from hnf_core.kernel.library import kernel, plainly, why_not
 from hnf_core.kernel.noise import bins as compiled_bins
 from hnf_core.kernel.noise import real_waves as compiled_waves
-from hnf_core.kernel.texture import Between, Octave, Piece, in_arc
 from hnf_core.material.library import find
 
 CARRIERS = Carriers()
@@ -173,18 +172,22 @@ class Refuses:
 
 
 def test_what_it_would_misread_never_reaches_it():
-    none, rows, between = Refuses(), np.ones((3, 2), np.float32), Between(np.zeros(8, int), np.zeros(8, np.float32))
-    pieces = [Piece.of(np.ones((2, 64), np.complex64))]
-    for row in (np.full(8, 2), np.full(8, -1), np.zeros(7, int)):
-        with pytest.raises(ValueError, match="knots"):
-            in_arc(none, [Octave(rows, pieces, 0, 1000.0)], 0.1, np.full(8, 0.03), np.ones((4, 4), np.float32),
-                   Between(row, np.zeros(8, np.float32)))  # fmt: skip
-    cubic = np.ones((4, 4), np.float32)
-    for place in (np.nan, np.inf, 0.0, 0.062, 1e6):
-        with pytest.raises(ValueError, match=r"places|cells"):
-            in_arc(none, [Octave(rows, pieces, 0, 1000.0)], 0.1, np.full(8, place), cubic, between)
-    with pytest.raises(TypeError, match="float32"):
-        in_arc(none, [Octave(rows.astype(float), pieces, 0, 1000.0)], 0.1, np.full(8, 0.03), cubic, between)
+    none, tables, share = Refuses(), texture.hop_tables(CARRIERS), np.zeros(8, np.float32)
+    pair, place = np.ones((2, CARRIERS.arc_count), np.float32), np.full(8, 0.03)
+    kept = Piece.of(arc_hop(CARRIERS, 1, 0, 0))
+
+    def read(pair=pair, octaves=(0, 3), place=place, share=share, piece=lambda *_: kept):
+        return kernel_hop.arcs(none, tables, pair, octaves, place, share, piece)
+
+    for wrong, error in (
+        ({"pair": pair[:1]}, ValueError), ({"pair": pair[:, 1:]}, ValueError), ({"pair": pair * 1.5j}, TypeError),
+        ({"octaves": (8,)}, ValueError), ({"octaves": (-1,)}, ValueError), ({"share": share[1:]}, ValueError),
+        ({"place": np.where(np.arange(8) == 3, np.inf, place)}, ValueError), ({"place": place * np.nan}, ValueError),
+        ({"place": place.astype(np.float32)}, TypeError), ({"share": share.astype(float)}, TypeError),
+        ({"piece": lambda *_: Piece.of(np.ones((24, 9), np.complex64))}, ValueError),
+    ):  # fmt: skip
+        with pytest.raises(error):
+            read(**wrong)
     for first, level in ((-1, np.ones(4)), (2, np.ones(4)), (6, np.ones(0))):
         with pytest.raises(ValueError, match="words"):
             compiled_bins(none, (1, 2, 3), 5, first, level)
@@ -214,7 +217,7 @@ def test_what_it_would_misread_never_reaches_it():
 
 
 def test_a_hop_that_it_would_misread_never_reaches_it():
-    tables, none = texture._tables(CARRIERS), Refuses()
+    tables, none = texture.hop_tables(CARRIERS), Refuses()
     at, amplitude = np.array([0, 9000]), np.ones((2, CARRIERS.count), np.float32)
     place, waves = np.linspace(0.0, 0.05, HOP + 2 * REACH), time_hop(CARRIERS, 1, 0)
 

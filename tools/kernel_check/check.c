@@ -78,8 +78,8 @@ int main(int given, char **words)
         printf("the library does not load\n");
         return 1;
     }
-    FIND(hnf_abi) FIND(hnf_has_wide_vectors) FIND(hnf_read_arc) FIND(hnf_linear_contact) FIND(hnf_add_rows)
-    FIND(hnf_bins) FIND(hnf_real_waves) FIND(hnf_complex_waves) FIND(hnf_plan_hop) FIND(hnf_hop) FIND(hnf_place)
+    FIND(hnf_abi) FIND(hnf_has_wide_vectors) FIND(hnf_linear_contact) FIND(hnf_add_rows)
+    FIND(hnf_bins) FIND(hnf_real_waves) FIND(hnf_complex_waves) FIND(hnf_plan_hop) FIND(hnf_hop) FIND(hnf_place) FIND(hnf_read_arcs)
     FIND(hnf_inputs) FIND(hnf_emitted) FIND(hnf_layers)
     printf("version %d, wide vectors %d\n", (int)hnf_abi_(), (int)hnf_has_wide_vectors_());
 
@@ -91,11 +91,6 @@ int main(int given, char **words)
         level[i] = uniform();
     }
     fill((float *)pieces, 4 * BANDS * CELLS);
-    memset(out, 0, sizeof out);
-    const hnf_complex *hops[2] = {pieces[0], pieces[1]};
-    hnf_read_arc_(amplitude, BANDS, BANDS, hops, CELLS, 0, 1000.0, 0.09375, place, cubic, row, share, COUNT, scratch, out);
-    say_single("read_arc", out, COUNT);
-
     double states[5] = {0.1, 0.12, 0.12, 0.15, 0.1};
     hnf_place_(states, 5, 20, REACH - 100, HOP + 2 * REACH, path);
     say("place", path, HOP + 2 * REACH, 9);
@@ -113,8 +108,11 @@ int main(int given, char **words)
                (int)readings[i].count, (int)readings[i].first_cell, (int)readings[i].last_cell);
     }
     const float *time_waves[2] = {waves, waves + COUNT};
+    const hnf_complex *hops[2] = {pieces[0], pieces[1]};
     hnf_hop_(&carriers, &knots, 0, path, time_waves, hops, readings, found_readings, room, hopped);
     say("hop", hopped, HOP, 5);
+    hnf_read_arcs_(&carriers, amplitude, BANDS, hops, readings, found_readings, path, row, share, HOP, room, out);
+    say_single("read_arcs", out, HOP);
 
     hnf_bins_(word(), word(), word(), 1001, 7, COUNT, level, drawn);
     say("bins", drawn, 2 * COUNT, 9);

@@ -15,7 +15,7 @@
 #endif
 
 /* Raised whenever a signature or a meaning changes; library.py asks. */
-#define HNF_ABI 3
+#define HNF_ABI 4
 
 typedef struct { float re, im; } hnf_complex;
 
@@ -31,14 +31,6 @@ static inline int64_t hnf_stretch_end(const int64_t *row, int64_t at, int64_t co
 
 HNF_EXPORT int64_t hnf_abi(void);
 HNF_EXPORT int64_t hnf_has_wide_vectors(void);
-
-/* texture.c */
-HNF_EXPORT void hnf_read_arc(const float *amplitude, int64_t stride, int64_t bands, const hnf_complex *const *hops,
-                             int64_t hop_cells, int64_t first_cell, double cells_per_m, double turns_per_cell,
-                             const double *place, const float *cubic, const int64_t *row, const float *share,
-                             int64_t count, float *scratch, float *out);
-
-/* hop.c */
 
 /* What no stroke changes of the carriers and of the pieces that are kept of them (hnf_core/field/hops.py). */
 typedef struct {
@@ -67,6 +59,13 @@ typedef struct {
  * caller put them: the first of its pieces, and the cell with which that begins. */
 typedef struct { int64_t octave, level, start, count, first_cell, last_cell, piece, piece_cell; } hnf_reading;
 
+/* arc.c */
+HNF_EXPORT void hnf_read_arcs(const hnf_carriers *carriers, const float *amplitude, int64_t stride,
+                              const hnf_complex *const *pieces, const hnf_reading *readings, int64_t readings_count,
+                              const double *place, const int64_t *row, const float *share, int64_t count,
+                              double *scratch, float *out);
+
+/* hop.c */
 HNF_EXPORT int64_t hnf_plan_hop(const hnf_carriers *carriers, const hnf_knots *knots, int64_t first,
                                 const double *place, int64_t room, hnf_reading *out);
 HNF_EXPORT void hnf_hop(const hnf_carriers *carriers, const hnf_knots *knots, int64_t first, const double *place,

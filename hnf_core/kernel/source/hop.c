@@ -2,6 +2,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "arc.h"
 #include "sums.h"
 
 #define TILE 64
@@ -234,9 +235,8 @@ void hnf_hop(const hnf_carriers *c, const hnf_knots *k, int64_t first, const dou
     for (const hnf_reading *r = readings; r < readings + count; r++) {
         const rate_samples *rate = &rates[r->level];
         int64_t at = (r->start - kept_first(c, first, r->level)) >> r->level;
-        hnf_read_arc(k->amplitude + c->arc_first + r->octave * c->bands, k->stride, c->bands, pieces + r->piece,
-                     c->piece_cells, r->piece_cell, c->cells_per_m[r->octave], c->turns, rate->place + at, c->cubic,
-                     rate->row + at, rate->share + at, r->count, (float *)scratch, rate->sum + at);
+        read_arc(c, k->amplitude + c->arc_first + r->octave * c->bands, k->stride, pieces, r, rate->place + at,
+                 rate->row + at, rate->share + at, (float *)scratch, rate->sum + at);
     }
     for (int64_t level = c->levels - 1; level > 0; level--)
         add_twice(c, level, rates[level].sum, rates[level - 1].sum);

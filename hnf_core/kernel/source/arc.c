@@ -1,6 +1,9 @@
-/* The carriers in arc length, modulated: the twin of _in_arc in hnf_core/field/texture.py. */
+/* The carriers in arc length, modulated: the twin of _in_arc in hnf_core/field/texture.py and of _read_plainly in
+ * live_arc.py. */
 #include <math.h>
+#include <string.h>
 
+#include "arc.h"
 #include "sums.h"
 
 #define TILE 64
@@ -36,14 +39,17 @@ static void summed(const float *before, const float *after, int64_t bands, const
 
 /* Adds sum over an octave's bands of A_k(t) Re(c_k(s(t)) e^(2 pi i turns s)) to out.
  *
- * hops: neighbouring pieces (bands, hop_cells) of c from first_cell on, which no place comes nearer than a cell before
- * or two after. scratch: 4 numbers for each cell between the first and the last that are read. Bands are summed once on
+ * amplitude: of its first band at the first knot. pieces: of all readings. place, row, share, out: of the samples that
+ * are read. scratch: 4 numbers for each cell between the first and the last that are read. Bands are summed once on
  * the cells that a stretch between two knots covers, and then read there by cubic weights. */
-void hnf_read_arc(const float *amplitude, int64_t stride, int64_t bands, const hnf_complex *const *hops,
-                  int64_t hop_cells, int64_t first_cell, double cells_per_m, double turns_per_cell,
-                  const double *place, const float *cubic, const int64_t *row, const float *share, int64_t count,
-                  float *scratch, float *out)
+void read_arc(const hnf_carriers *c, const float *amplitude, int64_t stride, const hnf_complex *const *pieces,
+              const hnf_reading *reading, const double *place, const int64_t *row, const float *share, float *scratch,
+              float *out)
 {
+    const hnf_complex *const *hops = pieces + reading->piece;
+    double cells_per_m = c->cells_per_m[reading->octave], turns_per_cell = c->turns;
+    const float *cubic = c->cubic;
+    int64_t count = reading->count;
     lanes power[4];
     for (int tap = 0; tap < 4; tap++)
         for (int p = 0; p < 4; p++)
@@ -59,7 +65,7 @@ void hnf_read_arc(const float *amplitude, int64_t stride, int64_t bands, const h
         int64_t width = (int64_t)floor(most * cells_per_m) + 3 - begin;
         const float *before = amplitude + row[low] * stride;
         float *here = scratch, *next = scratch + 2 * width;
-        summed(before, before + stride, bands, hops, hop_cells, begin - first_cell, width, here, next);
+        summed(before, before + stride, c->bands, hops, c->piece_cells, begin - reading->piece_cell, width, here, next);
         for (int64_t at = low; at < high; at += TILE) {
             int64_t many = high - at < TILE ? high - at : TILE;
             int32_t cell[TILE];
@@ -83,4 +89,16 @@ void hnf_read_arc(const float *amplitude, int64_t stride, int64_t bands, const h
                 out[at + j] += re[j] * sine(turn[j] + 0.25f) - im[j] * sine(turn[j]);
         }
     }
+}
+
+/* out[i] = sum over the octaves of all readings, at samples i < count. amplitude: (knots, octaves * bands), stride
+ * apart. scratch: 2 numbers for each cell of the longest reading. */
+void hnf_read_arcs(const hnf_carriers *c, const float *amplitude, int64_t stride, const hnf_complex *const *pieces,
+                   const hnf_reading *readings, int64_t readings_count, const double *place, const int64_t *row,
+                   const float *share, int64_t count, double *scratch, float *out)
+{
+    memset(out, 0, (size_t)count * sizeof(float));
+    for (const hnf_reading *r = readings; r < readings + readings_count; r++)
+        read_arc(c, amplitude + r->octave * c->bands, stride, pieces, r, place + r->start, row + r->start,
+                 share + r->start, (float *)scratch, out + r->start);
 }
