@@ -39,20 +39,22 @@ def place_labels(anchors: Float, sizes: Float, frame: Box, taken: Sequence[Box] 
     lines: list[Line] = []
     total = 0
     for own, anchor, size in zip(marks, anchors.tolist(), sizes.tolist(), strict=True):
-        there = [*marks, *placed, *taken]
-        free = [box for box in _around(anchor, size) if _within(box, frame) and not overlaps(box, there)]
         others = [*(mark for mark in marks if not overlaps(mark, [own])), *placed]
-
-        def crossed(box: Box, anchor: Sequence[float] = anchor, others: Sequence[Box] = others) -> int:
+        best: tuple[int, Box] | None = None
+        for box in _around(anchor, size):
+            if not _within(box, frame) or overlaps(box, [*marks, *placed, *taken]):
+                continue
             line = line_to(anchor, box)
-            return sum(crosses(line, other) for other in others) + sum(crosses(line, box) for line in lines)
-
-        box = min(free, key=crossed, default=None)
-        if box is None:
+            crossed = sum(crosses(line, other) for other in others) + sum(crosses(each, box) for each in lines)
+            if best is None or crossed < best[0]:
+                best = crossed, box
+            if crossed == 0:
+                break
+        if best is None:
             return None
-        total += crossed(box)
-        placed.append(box)
-        lines.append(line_to(anchor, box))
+        total += best[0]
+        placed.append(best[1])
+        lines.append(line_to(anchor, best[1]))
     return Placed(tuple(placed), total)
 
 
