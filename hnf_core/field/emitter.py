@@ -1,4 +1,4 @@
-"""F_Θ at many states by the compiled kernel, for fields of the shipped form: the twin of before_gate."""
+"""F_Θ at many states by the compiled kernel, for fields of the shipped form: the twin in C of what field.py does."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from ..kernel import emission as compiled
 from ..kernel.contact import TOUCH
 from ..kernel.emission import Emitter
 from ..material.mechanics import Mechanics
-from .carriers import ARC_PER_OCTAVE, Carriers
 from .features import (
     DIRECTION_AT,
     MECHANICS_AT,
+    PACE_M_S,
+    PITCH_HZ,
     PROBE_NAMES,
     QUIET_M_S2,
     TIME_SHARE_DB,
@@ -26,7 +27,7 @@ from .features import (
     moving,
     token_scale,
 )
-from .linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition, hand_of, touch_of
+from .linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition, hand_of, time_edges, touch_of
 from .linear_texture import kernel_tables
 from .lines import QUIET_LINE_M_S2, SHIFTS, START_LOG
 
@@ -35,8 +36,6 @@ if TYPE_CHECKING:
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
-PACE_M_S, PITCH_HZ = 0.1, 150.0
-"""What speed and resonance are told beside, as in features.build_inputs."""
 
 
 def fits(config: FieldConfig) -> bool:
@@ -64,11 +63,6 @@ def emitter_of(config: FieldConfig, skip: bytes, probe: str, ceiling: float) -> 
         quiet_line_power=QUIET_LINE_M_S2**2, time_share=10.0 ** (TIME_SHARE_DB / 10.0), ceiling=ceiling, pace=PACE_M_S,
         pitch=PITCH_HZ,
     )  # fmt: skip
-
-
-def time_edges(carriers: Carriers) -> Float:
-    """(Kt + 1,) arc bands from the first to the one that each edge in time meets at 1 m/s."""
-    return np.asarray(ARC_PER_OCTAVE * np.log2(carriers.time_edges() / carriers.arc_start_per_m))
 
 
 def fixed_inputs(mechanics: Mechanics, probe: str) -> tuple[float, ...]:

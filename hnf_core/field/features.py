@@ -32,6 +32,8 @@ QUIET_M_S2 = 2e-4
 """Amplitude per band below which the linear prediction is not told from silence."""
 TIME_SHARE_DB = -20.0
 """Where the time carriers start beside the arc carriers: geometry belongs to arc length until data say otherwise."""
+PACE_M_S, PITCH_HZ = 0.1, 150.0
+"""What speed and resonance are told beside."""
 PROBE_NAMES = tuple(PROBES)
 MECHANICS_AT = TOKEN_DIM
 PROBE_AT = MECHANICS_AT + 6
@@ -78,7 +80,7 @@ def build_inputs(
         np.array([mechanics_columns(m) for m in condition.mechanics])[condition.material],
         np.tile([float(name == condition.probe) for name in PROBE_NAMES], (len(speed), 1)),
         condition.direction if directed and not stroke_frame else np.zeros_like(condition.direction),
-        np.log(speed / 0.1)[:, None],
+        np.log(speed / PACE_M_S)[:, None],
         np.log(force)[:, None],
         encode_action(condition.direction, speed, force, action_octaves, directed),
     ]
@@ -95,7 +97,7 @@ def build_inputs(
             0.5 * log_amplitude(linear.power.sum(axis=1))[:, None],
             # Above 1 the inertia of the linear solution exceeds the load: the probe hops.
             0.5 * np.log(bounce + 1e-3)[:, None],
-            np.log(linear.resonance / 150.0)[:, None],
+            np.log(linear.resonance / PITCH_HZ)[:, None],
         ]
         prior[:, carriers.time_slice] = log_amplitude(time_power * share)
         if carriers.arc_count:

@@ -141,15 +141,14 @@ def evaluate(model: Field, condition: Condition, answer: Answer | None = None) -
     if answer is None:
         answer = partial(heads, weights, config.layers)
     if compiled is None or not fits(config) or weights["skip"].dtype != np.float32:
-        alpha, sigma_dt, gate = before_gate(model, condition, answer)
-        return Emission(alpha * gate[:, None, :], sigma_dt)
+        return _in_numpy(model, condition, answer)
     emitter = emitter_of(config, weights["skip"].tobytes(), condition.probe, LOG_AMPLITUDE_CEILING)
     alpha, sigma = emission(compiled, emitter, condition, answer)
     return Emission(alpha[:, None, :], np.logaddexp(0.0, sigma.astype(np.float64)))
 
 
-def before_gate(model: Field, condition: Condition, answer: Answer) -> tuple[Float, Float, Float]:
-    """alpha (n, heads, K) as if every state slid within its band, sigma_dt (n, N), and the gate (n, K) on alpha."""
+def _in_numpy(model: Field, condition: Condition, answer: Answer) -> Emission:
+    """Every form of field, and what the kernel is tested against."""
     config, weights = model.config, model.parameters
     inputs = build_inputs(
         condition,
@@ -174,8 +173,7 @@ def before_gate(model: Field, condition: Condition, answer: Answer) -> tuple[Flo
     if gains is not None:
         ringing = line_power(gains, tones, config.carriers.arc_count, LOG_AMPLITUDE_CEILING)
         alpha[:, 0, config.carriers.arc_slice] = np.sqrt(np.square(alpha[:, 0, config.carriers.arc_slice]) + ringing)
-    sigma_dt = np.logaddexp(0.0, sigma.astype(np.float64))
-    return alpha, sigma_dt, inputs.gate
+    return Emission(alpha * inputs.gate[:, None, :], np.logaddexp(0.0, sigma.astype(np.float64)))
 
 
 def accumulate(config: FieldConfig, emission: Emission) -> Float:

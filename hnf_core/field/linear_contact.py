@@ -185,12 +185,17 @@ def profile_band_power(height_spectrum: Float, condition: Condition, carriers: C
 def time_band_power(arc_power: Float, speed: Float, carriers: Carriers) -> Float:
     """Power that falls into each time band when arc band k moves at speed v. (n, Ka), (n,) → (n, Kt)."""
     cumulative = np.concatenate([np.zeros((len(arc_power), 1)), np.cumsum(arc_power, axis=1)], axis=1)
-    edges = carriers.time_edges()[None, :] / (np.maximum(speed, SPEED_FLOOR_M_S)[:, None] * carriers.arc_start_per_m)
-    place = np.clip(ARC_PER_OCTAVE * np.log2(edges), 0.0, arc_power.shape[1])
+    octaves = np.log2(np.maximum(speed, SPEED_FLOOR_M_S))[:, None]
+    place = np.clip(time_edges(carriers) - ARC_PER_OCTAVE * octaves, 0.0, arc_power.shape[1])
     low = np.minimum(place.astype(int), arc_power.shape[1] - 1)
     rows = np.arange(len(arc_power))[:, None]
     at_edge = cumulative[rows, low] + (place - low) * (cumulative[rows, low + 1] - cumulative[rows, low])
     return np.asarray(np.diff(at_edge, axis=1))
+
+
+def time_edges(carriers: Carriers) -> Float:
+    """(Kt + 1,) arc bands from the first to the one that each edge in time meets at 1 m/s."""
+    return np.asarray(ARC_PER_OCTAVE * np.log2(carriers.time_edges() / carriers.arc_start_per_m))
 
 
 def _smoothstep(x: Float) -> Float:

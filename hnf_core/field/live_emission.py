@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from ctypes import CDLL
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +23,11 @@ from .emitter import emitter_of, fits, fixed_inputs
 from .features import (
     DIRECTION_AT,
     MECHANICS_AT,
-    PROBE_AT,
-    PROBE_NAMES,
+    PACE_M_S,
+    PITCH_HZ,
     QUIET_M_S2,
     TIME_SHARE_DB,
     encode_action,
-    mechanics_columns,
     normalised_tokens,
 )
 from .field import LOG_AMPLITUDE_CEILING, Field
@@ -46,47 +46,63 @@ _FOLDS = np.repeat([2.0, 4.0], _BANDS)
 
 
 class LiveEmission:
-    """F_Θ for one material.
+    """F_Θ for one material: by the kernel, else by numpy.
 
     Raises UsageError for a field whose linear contact has no arc carriers to stand on: no such one is made.
     """
 
     def __init__(self, field: Field, token: Float, mechanics: Mechanics, probe: str) -> None:
-        config, carriers = field.config, field.config.carriers
-        if config.physics and not carriers.arc_count:
+        config = field.config
+        if config.physics and not config.carriers.arc_count:
             raise UsageError("this field has no arc-length carriers to be felt live with.", remedy="Use another field.")
+        self._of = field, np.array(token, dtype=np.float64)[None], mechanics, probe
+        self.at(np.array([1.0, 0.0]), 0.0, 0.0, contact=False)  # the one that serves is made now: no touch waits for it
+
+    def at(self, direction: Float, speed: float, force: float, contact: bool) -> tuple[Float, Float]:
+        """α (K,), 0 at rest and out of contact, and σΔt (N,). direction: (2,); speed: m/s; force: N."""
+        angle = float(np.arctan2(direction[1], direction[0]))
+        pace, load = max(speed, SPEED_FLOOR_M_S), max(force, FORCE_FLOOR_N)
+        moving = min(speed / SPEED_FLOOR_M_S, 1.0) * min(max(force, 0.0) / FORCE_FLOOR_N, 1.0) if contact else 0.0
+        compiled = kernel()
+        if compiled is not None and fits(self._of[0].config):
+            return self._compiled.at(compiled, direction, angle, pace, load, moving)
+        return self._plain.at(direction, angle, pace, load, moving)
+
+    @cached_property
+    def _compiled(self) -> CompiledEmission:
+        return CompiledEmission(*self._of)
+
+    @cached_property
+    def _plain(self) -> PlainEmission:
+        return PlainEmission(*self._of)
+
+
+class PlainEmission:
+    """In numpy. token: (1, TOKEN_DIM)."""
+
+    def __init__(self, field: Field, token: Float, mechanics: Mechanics, probe: str) -> None:
+        config, carriers = field.config, field.config.carriers
         self._config, self._carriers, self._kappa = config, carriers, carriers.arc_centres()
-        weights = field.parameters
         # Summed by einsum: BLAS would set threads to so small a product, and wait for them.
         self._layers = [_transposed(field, f"layer{index}") for index in range(config.layers)]
         self._alpha, self._sigma = _transposed(field, "alpha"), _transposed(field, "sigma")
         expansion = config.expansion()
         self._expansion = None if expansion is None else expansion.astype(np.float64)
         self._prior = np.zeros(carriers.count)
-        self._token = np.array(token, dtype=np.float64)[None]
         self._x = np.zeros(len(self._layers[0][0]), dtype=np.float32)
-        self._x[:MECHANICS_AT] = normalised_tokens(self._token)[0]
+        self._x[:MECHANICS_AT] = normalised_tokens(token)[0]
         # normalised_tokens leaves moments of direction as they are, so that turning them here is features.seen_from.
-        self._moments = self._token[0, _MOMENTS_AT] + 1j * self._token[0, _MOMENTS_AT + 1]
-        self._x[MECHANICS_AT:PROBE_AT] = mechanics_columns(mechanics)
-        self._x[PROBE_AT:DIRECTION_AT] = [name == probe for name in PROBE_NAMES]
+        self._moments = token[0, _MOMENTS_AT] + 1j * token[0, _MOMENTS_AT + 1]
+        self._x[MECHANICS_AT:DIRECTION_AT] = fixed_inputs(mechanics, probe)
         self._linear: LiveLinear | None = None
         if config.physics:
-            self._linear = LiveLinear(self._token[0], mechanics, PROBES[probe], carriers)
-            self._time, self._skip = TimeShare(carriers), weights["skip"].astype(np.float64)
+            self._linear = LiveLinear(token[0], mechanics, PROBES[probe], carriers)
+            self._time, self._skip = TimeShare(carriers), field.parameters["skip"].astype(np.float64)
         self._mass = PROBES[probe].mass_kg
-        self._compiled: CompiledEmission | None = None
-        if fits(config) and self._linear is not None:
-            self._compiled = CompiledEmission(field, self._token, mechanics, probe, self._linear)
 
-    def at(self, direction: Float, speed: float, force: float, contact: bool) -> tuple[Float, Float]:
-        """α (K,), 0 at rest and out of contact, and σΔt (N,). direction: (2,); speed: m/s; force: N."""
-        carriers, angle = self._carriers, float(np.arctan2(direction[1], direction[0]))
-        pace, load = max(speed, SPEED_FLOOR_M_S), max(force, FORCE_FLOOR_N)
-        moving = min(speed / SPEED_FLOOR_M_S, 1.0) * min(max(force, 0.0) / FORCE_FLOOR_N, 1.0) if contact else 0.0
-        compiled = kernel()
-        if compiled is not None and self._compiled is not None:
-            return self._compiled.at(compiled, direction, angle, pace, load, moving)
+    def at(self, direction: Float, angle: float, pace: float, load: float, moving: float) -> tuple[Float, Float]:
+        """As LiveEmission.at, of a speed and a force that are not below their floors. moving: 0 … 1."""
+        carriers = self._carriers
         linear = None if self._linear is None else self._linear.at(angle, pace, load)
         time_power = None if linear is None else self._time.of(linear.power, pace)
         hidden = self._input(direction, angle, pace, load, linear, time_power)
@@ -120,7 +136,7 @@ class LiveEmission:
         elif config.directed:
             x[DIRECTION_AT : DIRECTION_AT + 2] = direction
         at = DIRECTION_AT + 4
-        x[at - 2 : at] = math.log(pace / 0.1), math.log(load)
+        x[at - 2 : at] = math.log(pace / PACE_M_S), math.log(load)
         if config.action_octaves:
             encoded = encode_action(
                 direction[None], np.array([pace]), np.array([load]), config.action_octaves, config.directed
@@ -134,7 +150,7 @@ class LiveEmission:
             x[at + count :] = (
                 0.25 * math.log(float(linear.power.sum()) + QUIET_M_S2**2),
                 0.5 * math.log(bounce + 1e-3),
-                math.log(linear.resonance / 150.0),
+                math.log(linear.resonance / PITCH_HZ),
             )
         return x
 
@@ -162,24 +178,20 @@ class LiveEmission:
 class CompiledEmission:
     """The same by the kernel: three calls."""
 
-    def __init__(self, field: Field, token: Float, mechanics: Mechanics, probe: str, linear: LiveLinear) -> None:
-        weights, names = (
-            field.parameters,
-            [*(f"layer{index}" for index in range(field.config.layers)), "alpha", "sigma"],
-        )
-        skip = np.asarray(weights["skip"], dtype=np.float32).tobytes()
-        self._emitter = emitter_of(field.config, skip, probe, LOG_AMPLITUDE_CEILING)
-        self._layers = Layers(
-            [weights[f"{name}.weight"] for name in names], [weights[f"{name}.bias"] for name in names]
-        )
-        self._token, self._linear, self._mass = token, linear, PROBES[probe].mass_kg
+    def __init__(self, field: Field, token: Float, mechanics: Mechanics, probe: str) -> None:
+        weights = {name: np.ascontiguousarray(each, dtype=np.float32) for name, each in field.parameters.items()}
+        names = [*(f"layer{index}" for index in range(field.config.layers)), "alpha", "sigma"]
+        self._emitter = emitter_of(field.config, weights["skip"].tobytes(), probe, LOG_AMPLITUDE_CEILING)
+        self._layers = Layers(*([weights[f"{name}.{part}"] for name in names] for part in ("weight", "bias")))
+        self._token, self._mass = token, PROBES[probe].mass_kg
+        self._linear = LiveLinear(token[0], mechanics, PROBES[probe], field.config.carriers)
         self._fixed = np.array([fixed_inputs(mechanics, probe)])
         self._motion, self._touch = np.empty((1, len(MOTION))), np.empty((1, len(TOUCH)))
 
     def at(
         self, kernel: CDLL, direction: Float, angle: float, pace: float, load: float, moving: float
     ) -> tuple[Float, Float]:
-        """As LiveEmission.at, of a speed and a force that are not below their floors."""
+        """As PlainEmission.at."""
         self._touch[0], resonance = self._linear.touch(angle, pace, load)
         self._motion[0] = *direction, pace, load, self._mass, resonance, moving
         x, expected = inputs(kernel, self._emitter, self._token, self._fixed, self._motion, self._touch)

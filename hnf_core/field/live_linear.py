@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from ..material.contact import power_gain, surface_stiffness_at_1n, with_default
 from ..material.mechanics import Mechanics
 from ..material.probe import Probe
 from .carriers import ARC_PER_OCTAVE, Carriers
-from .linear_contact import FLANK_FRICTION, arc_gain, hand_of
+from .linear_contact import FLANK_FRICTION, arc_gain, hand_of, time_edges
 from .live_texture import LiveTexture
 
 Float = NDArray[np.float64]
@@ -38,12 +39,17 @@ class LiveLinear:
     """The linear contact of one material under one probe."""
 
     def __init__(self, token: Float, mechanics: Mechanics, probe: Probe, carriers: Carriers) -> None:
-        self._texture = LiveTexture(token, carriers)
+        self._of = token, carriers
         self._kappa = carriers.arc_centres()
         self._wave = np.square(2.0 * np.pi * self._kappa)
         self._known, self._probe = with_defaults(mechanics), probe
         self._surface = surface_stiffness_at_1n(mechanics, probe)
         self._weight = np.empty((3, len(self._kappa)))
+
+    @cached_property
+    def _texture(self) -> LiveTexture:
+        """That of at() alone."""
+        return LiveTexture(*self._of)
 
     def touch(self, angle: float, speed: float, force: float) -> tuple[tuple[float, ...], float]:
         """Columns TOUCH of a state, and its resonance [Hz]. angle: radians; speed, force: m/s and N, not below their
@@ -92,7 +98,7 @@ class TimeShare:
     """time_band_power for one state."""
 
     def __init__(self, carriers: Carriers) -> None:
-        self._edges = ARC_PER_OCTAVE * np.log2(carriers.time_edges() / carriers.arc_start_per_m)
+        self._edges = time_edges(carriers)
         self._sum = np.zeros(carriers.arc_count + 1)
 
     def of(self, power: Float, speed: float) -> Float:

@@ -42,7 +42,7 @@ from .timeline import (
 from .turns import turns
 
 Float = NDArray[np.float64]
-Emitter = Callable[[Field, Condition], Emission]
+Evaluate = Callable[[Field, Condition], Emission]
 
 BLOCK = HOP
 """Samples rendered at once: bounds memory, and how much a small change costs; the last bit depends on it."""
@@ -129,7 +129,7 @@ def prepare(
     seed: int,
     earlier: Prepared | None = None,
     tolerance: float | None = None,
-    emission: Emitter = evaluate,
+    emission: Evaluate = evaluate,
 ) -> Prepared:
     """Everything at the action rate: F_Θ, its accumulation over past states, and the profile's share.
 
@@ -200,7 +200,7 @@ def _prepare_within(
     action: Action,
     token_index: NDArray[np.int32],
     tolerance: float,
-    emission: Emitter,
+    emission: Evaluate,
 ) -> Prepared:
     carriers, config, count = field.config.carriers, field.config, sample_count(action)
     felt = np.convolve(action.contact, np.ones(memory(field) + 3))[1 : len(action.contact) + 1] > 0.0

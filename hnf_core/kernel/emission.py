@@ -1,5 +1,5 @@
 """Compiled: from states to what F_Θ takes, and from what it answers to amplitudes (the twins in numpy are build_inputs
-in field/features.py and before_gate in field/field.py)."""
+in field/features.py and _in_numpy in field/field.py)."""
 
 from __future__ import annotations
 

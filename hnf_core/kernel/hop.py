@@ -24,6 +24,7 @@ _MOST_LEVELS = 8
 _READING = 8
 """Numbers of an hnf_reading."""
 _FIRST_CELL, _LAST_CELL, _PIECE = 4, 5, 6
+_FARTHEST_CELL = 2.0**52
 _ROOM = 64
 """Readings that are expected: one for each octave where a hand does not jump."""
 
@@ -103,9 +104,7 @@ def hop(
     of the carriers in time; None where they are silent. piece: (octave, number) → its cells. Raises ValueError where
     these do not fit, or a place is not finite.
     """
-    least, most = float(place.min()), float(place.max())
-    if not math.isfinite(least + most):
-        raise ValueError(f"places from {least} to {most} m")
+    _extent(tables, place)
     if len(place) != tables.hop + 2 * tables.reach or not 2 <= len(at) == len(amplitude):
         raise ValueError(f"{len(place)} places, {len(at)} knots and {len(amplitude)} rows of amplitudes")
     if amplitude.shape[1] < tables.columns:
@@ -132,9 +131,7 @@ def arcs(
     amplitude: (2, octaves · bands) at the knots. share: (n,) of the way from one to the other. piece: as of hop().
     Raises ValueError where these do not fit, or a place is not finite.
     """
-    least, most = float(place.min()), float(place.max())
-    if not math.isfinite(least + most):
-        raise ValueError(f"places from {least} to {most} m")
+    least, most = _extent(tables, place)
     fits = amplitude.shape == (2, tables.octaves * tables.bands) and len(share) == len(place)
     if not fits or not all(0 <= octave < tables.octaves for octave in octaves):
         raise ValueError(f"octaves {list(octaves)} of amplitudes {amplitude.shape} at {len(place)} places")
@@ -156,6 +153,14 @@ def arcs(
     return out
 
 
+def _extent(tables: HopTables, place: Float) -> tuple[float, float]:
+    """Raises ValueError where a place is not finite, or so far that cells there are no whole numbers."""
+    least, most = float(place.min()), float(place.max())
+    if not max(-least, most) * max(tables.cells_per_m, default=1.0) < _FARTHEST_CELL:
+        raise ValueError(f"places from {least} to {most} m")
+    return least, most
+
+
 def _planned(kernel: ctypes.CDLL, given: tuple[Any, ...]) -> Integers:
     room = _ROOM
     while True:
@@ -169,15 +174,13 @@ def _planned(kernel: ctypes.CDLL, given: tuple[Any, ...]) -> Integers:
 def _gathered(tables: HopTables, readings: Integers, piece: Callable[[int, int], Piece]) -> list[Piece]:
     """The pieces of all readings, which are told where theirs begin."""
     table: list[Piece] = []
-    numbered: dict[tuple[int, int], Piece] = {}
     cells = tables.piece_cells
     for reading, (octave, first, last) in enumerate(readings[:, [0, _FIRST_CELL, _LAST_CELL]].tolist()):
         readings[reading, _PIECE:] = len(table), first // cells * cells
         for number in range(first // cells, last // cells + 1):
-            found = numbered.get((octave, number)) or piece(octave, number)
+            found = piece(octave, number)
             if found.waves.shape != (tables.bands, cells):
                 raise ValueError(f"a piece of {found.waves.shape} where {tables.bands} bands of {cells} cells are read")
-            numbered[octave, number] = found
             table.append(found)
     return table
 

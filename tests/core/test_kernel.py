@@ -183,6 +183,7 @@ def test_what_it_would_misread_never_reaches_it():
         ({"pair": pair[:1]}, ValueError), ({"pair": pair[:, 1:]}, ValueError), ({"pair": pair * 1.5j}, TypeError),
         ({"octaves": (8,)}, ValueError), ({"octaves": (-1,)}, ValueError), ({"share": share[1:]}, ValueError),
         ({"place": np.where(np.arange(8) == 3, np.inf, place)}, ValueError), ({"place": place * np.nan}, ValueError),
+        ({"place": place - 1e14}, ValueError),
         ({"place": place.astype(np.float32)}, TypeError), ({"share": share.astype(float)}, TypeError),
         ({"piece": lambda *_: Piece.of(np.ones((24, 9), np.complex64))}, ValueError),
     ):  # fmt: skip
@@ -229,6 +230,7 @@ def test_a_hop_that_it_would_misread_never_reaches_it():
         ({"amplitude": amplitude.astype(float)}, TypeError), ({"amplitude": amplitude[:, 1:]}, ValueError),
         ({"amplitude": np.ones((3, CARRIERS.count), np.float32)}, ValueError), ({"place": place[1:]}, ValueError),
         ({"place": np.where(place > 0.02, np.nan, place)}, ValueError), ({"place": place[::-1]}, TypeError),
+        ({"place": place + 1e300}, ValueError), ({"place": np.where(place > 0.02, -np.inf, place)}, ValueError),
     ):  # fmt: skip
         with pytest.raises(error):
             asked(**wrong)

@@ -1,5 +1,5 @@
 /* From states to what F_Theta takes, and from what it answers to amplitudes: the twins of build_inputs
- * (hnf_core/field/features.py) and before_gate (field.py), where the reasons stand. */
+ * (hnf_core/field/features.py) and _in_numpy (field.py), where the reasons stand. */
 #include <math.h>
 #include <string.h>
 
