@@ -117,7 +117,8 @@ def kernel_tables(carriers: Carriers, hand: float, hand_damping: float) -> Table
     below, angle = np.clip(np.floor(position).astype(int), 0, bands - 2), _GRID_ANGLES[: ANGLES // 2]
     return Tables(
         features=BAND_FEATURES, kappa=carriers.arc_centres(), below=below, share=np.clip(position - below, 0.0, 1.0),
-        token_band=_nearest(position), wavelength=np.asarray(BAND_WAVELENGTHS_M, dtype=np.float64), shift=_shifts(),
+        nearest_end=np.searchsorted(_nearest(position), np.arange(bands), side="right"), shift=_shifts(),
+        wavelength=np.asarray(BAND_WAVELENGTHS_M, dtype=np.float64),
         turn=np.stack([np.cos(2 * angle), np.sin(2 * angle), np.cos(4 * angle), np.sin(4 * angle)], axis=1),
         per_octave=ARC_PER_OCTAVE, concentration=_LINE_CONCENTRATION, bump_mean=float(_BUMP_MEAN),
         least_left=LEAST_LEFT, hand=hand, hand_damping=hand_damping,

@@ -22,7 +22,7 @@ FEATURES = ("level", "peak", "offset", "cos2", "sin2", "cos4", "sin4")
 
 
 _COUNTS = ("bands", "token_bands", "features", "angles")
-_ARRAYS = ("kappa", "below", "share", "token_band", "wavelength", "turn", "shift")
+_ARRAYS = ("kappa", "below", "share", "nearest_end", "wavelength", "turn", "shift")
 _NUMBERS = ("per_octave", "concentration", "bump_mean", "least_left", "hand", "hand_damping")
 
 
@@ -37,23 +37,24 @@ class _Struct(ctypes.Structure):
 class Tables:
     """What no state changes, as hnf_tables in hnf_kernel.h; its arrays stay where they are.
 
-    features: names of a band's features in a token, in order. kappa, share: (K,); below, token_band: (K,); wavelength:
-    (T,); turn: (A, 4); shift: (A,); scalars by their names. Raises ValueError where they do not fit together.
+    features: names of a band's features in a token, in order. kappa, below, share: (K,); wavelength, nearest_end: (T,);
+    turn: (A, 4); shift: (A,); scalars by their names. Raises ValueError where they do not fit together.
     """
 
     def __init__(
         self, *, features: Sequence[str], kappa: Float, share: Float, wavelength: Float, turn: Float, below: Integers,
-        token_band: Integers, shift: Integers, **numbers: float,
+        nearest_end: Integers, shift: Integers, **numbers: float,
     ) -> None:  # fmt: skip
         self.bands, self.token_bands, self.angles = len(kappa), len(wavelength), len(shift)
         inside = below.min() >= 0 and below.max() < self.token_bands - 1
-        inside &= token_band.min() >= 0 and token_band.max() < self.token_bands and shift.min() >= 0
-        if not (inside and len(share) == len(below) == len(token_band) == self.bands and turn.shape == (len(shift), 4)):
+        inside &= shift.min() >= 0 and nearest_end.max() <= self.bands and len(nearest_end) == self.token_bands
+        if not (inside and len(share) == len(below) == self.bands and turn.shape == (len(shift), 4)):
             raise ValueError(f"tables of {self.bands} bands, {self.token_bands} of a token and {self.angles} angles")
         self.token_size = self.token_bands * len(features)
+        self.room = 9 * self.bands + (20 + self.angles) * self.token_bands
         self._kept = [
             np.ascontiguousarray(array, dtype=np.float64 if array.dtype.kind == "f" else np.int64)
-            for array in (kappa, below, share, token_band, wavelength, turn, shift)
+            for array in (kappa, below, share, nearest_end, wavelength, turn, shift)
         ]
         self.struct = _Struct(
             self.bands, self.token_bands, len(features), self.angles, *(list(features).index(n) for n in FEATURES),
@@ -80,7 +81,7 @@ def linear_contact(kernel: ctypes.CDLL, tables: Tables, tokens: Float, touch: Fl
         np.empty((states, tables.bands)), np.empty((states, tables.bands)), np.empty(states),
         np.empty((2, states, lines)), np.empty((states, lines), dtype=np.int64),
     )  # fmt: skip
-    scratch = np.empty(5 * tables.bands + (5 + tables.angles) * tables.token_bands)
+    scratch = np.empty(tables.room)
     out = pointers([each.__array_interface__["data"][0] for each in found])
     kernel.hnf_linear_contact(
         ctypes.byref(tables.struct), address(tokens, np.float64), tokens.shape[1], address(touch, np.float64), states,

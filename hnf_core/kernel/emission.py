@@ -82,7 +82,8 @@ class Emitter:
             *(int(counts[name]) for name in _COUNTS), *(numbers[name] for name in _NUMBERS),
             *(each.__array_interface__["data"][0] for each in self._kept),
         )  # fmt: skip
-        self.room = 8 * tables.bands + time_bands + 1 + (9 + tables.angles) * tables.token_bands
+        self.room = tables.room + 3 * tables.bands + time_bands + 1 + 2 * self.lines
+        self.emitted_room = 2 * tables.bands + 2 * self.lines
 
 
 @dataclass(frozen=True)
@@ -133,7 +134,7 @@ def emitted(kernel: ctypes.CDLL, emitter: Emitter, head: Float32, motion: Float,
     states = len(head)
     if head.shape[1] != emitter.outputs or motion.shape != (states, len(MOTION)):
         raise ValueError(f"{head.shape} answers for {motion.shape} states")
-    alpha, scratch = np.empty((states, emitter.carriers)), np.empty(emitter.tables.bands)
+    alpha, scratch = np.empty((states, emitter.carriers)), np.empty(emitter.emitted_room)
     kernel.hnf_emitted(
         ctypes.byref(emitter.tables.struct), ctypes.byref(emitter.struct), address(head, np.float32),
         address(motion, np.float64), ctypes.byref(expected.struct(states, emitter)), states,

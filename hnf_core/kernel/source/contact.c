@@ -1,149 +1,250 @@
 /* Linear contact, state by state: the twin of linear_texture.py and linear_contact.py in hnf_core/field, where the
- * physics, its reasons and its sources stand. */
+ * physics, its reasons and its sources stand.
+ *
+ * What follows from the token alone is worked out when another one comes, what follows from its angle to the stroke when
+ * that changes, and what follows from the load likewise. Numbers stand band by band, so that a compiler takes several at
+ * once. */
+#include "contact.h"
+
 #include <math.h>
 #include <string.h>
 
+#include "elementary.h"
 #include "fades.h"
-#include "hnf_kernel.h"
 
 #define TWO_PI 6.283185307179586476925
+#define TWICE_LOG_OF_10 4.605170185988091368036
 
-/* A token seen from the stroke, per band. log_noise: of the power per arc band that is no tone. lines: (2,
- * token_bands) powers of the tones along and across the lattice, cosine: |cos| of their angles to the stroke. density:
- * (angles, token_bands) of the noise, folded: what stands at a and at pi - a is moved alike. */
-typedef struct {
-    double *log_noise, *lines, *cosine, *density;
-} seen;
-
-static void see(const hnf_tables *t, const double *token, double angle, const seen *out)
+/* Consecutive numbers of a piece of memory. */
+static double *taken(double **from, int64_t count)
 {
+    double *begin = *from;
+    *from += count;
+    return begin;
+}
+
+/* scratch: 9 * bands + (20 + angles) * token_bands. */
+contact_work contact_work_in(const hnf_tables *t, double *scratch)
+{
+    int64_t count = t->token_bands;
+    contact_work work = {0};
+    work.known = (known_token){
+        taken(&scratch, count), taken(&scratch, count), taken(&scratch, count), taken(&scratch, count),
+        taken(&scratch, count), taken(&scratch, count), taken(&scratch, count), taken(&scratch, count),
+        taken(&scratch, t->bands),
+    };
+    work.seen = (seen_token){taken(&scratch, 2 * count), taken(&scratch, 2 * count), taken(&scratch, t->angles * count)};
+    work.passed = taken(&scratch, t->bands);
+    work.leaned = taken(&scratch, t->bands);
+    work.room = scratch; /* 6 * bands, or 8 * token_bands */
+    return work;
+}
+
+/* The axes of a lattice, by the moments of its directions. cosine, sine: of twice the angle from the stroke to the one
+ * that is at most 45 degrees off. along: how much of all stands along it, 0 ... 1. */
+static void axes(const double *two_re, const double *two_im, const double *four_re, const double *four_im,
+                 int64_t count, double *cosine, double *sine, double *along)
+{
+    for (int64_t band = 0; band < count; band++) {
+        double size = sqrt(four_re[band] * four_re[band] + four_im[band] * four_im[band]);
+        double c = size > 0.0 ? four_re[band] / size : 1.0, s = size > 0.0 ? four_im[band] / size : 0.0;
+        /* Half the angle, by whichever of the two formulas loses no digits. */
+        double larger = sqrt(0.5 * (1.0 + fabs(c))), smaller = 0.5 * fabs(s) / larger;
+        cosine[band] = c >= 0.0 ? larger : smaller;
+        sine[band] = copysign(c >= 0.0 ? smaller : larger, s);
+        along[band] = clipped(0.5 * (1.0 + two_re[band] * cosine[band] + two_im[band] * sine[band]), 0.0, 1.0);
+    }
+}
+
+/* Shares of a band's power that its tones along the axis and across it have. */
+static inline void tones(double peak, double along, double *tone, double *other)
+{
+    double stronger = along > 0.5 ? along : 1.0 - along;
+    double one = peak * along / stronger, two = peak * (1.0 - along) / stronger, most = one + two;
+    most = most > 1.0 ? most : 1.0;
+    *tone = clipped(one / most, 0.0, 1.0);
+    *other = clipped(two / most, 0.0, 1.0);
+}
+
+/* What a token is, from wherever the stroke comes. */
+static void know(const hnf_tables *t, const double *token, double *room, const known_token *out)
+{
+    int64_t count = t->token_bands;
+    double *cosine = taken(&room, count), *sine = taken(&room, count), *along = taken(&room, count);
+    double *level = taken(&room, count);
+    for (int64_t band = 0; band < count; band++) {
+        const double *f = token + band * t->features;
+        out->power[band] = exp_of(TWICE_LOG_OF_10 * f[t->level]);
+        out->peak[band] = f[t->peak];
+        out->two_re[band] = f[t->cos2];
+        out->two_im[band] = f[t->sin2];
+        out->four_re[band] = f[t->cos4];
+        out->four_im[band] = f[t->sin4];
+        out->octaves[band] = clipped(f[t->offset], -0.5, 0.5) - log2_of(t->wavelength[band] * t->kappa[0]);
+        out->place[band] = clipped(rint(t->per_octave * out->octaves[band]), 0.0, (double)(t->bands - 1));
+    }
+    axes(out->two_re, out->two_im, out->four_re, out->four_im, count, cosine, sine, along);
+    for (int64_t band = 0; band < count; band++) {
+        double tone, other;
+        tones(out->peak[band], along[band], &tone, &other);
+        double left = clipped(1.0 - (tone + other), 0.0, 1.0);
+        double noise = left < t->least_left ? 0.0 : out->power[band] * left;
+        level[band] = log_of((noise > 1e-30 ? noise : 1e-30) / t->per_octave);
+    }
+    for (int64_t k = 0; k < t->bands; k++) {
+        const double *at = level + t->below[k];
+        out->height[k] = exp_of(at[0] * (1.0 - t->share[k]) + at[1] * t->share[k]);
+    }
+}
+
+/* A token that is known, from a stroke at an angle. */
+static void see(const hnf_tables *t, const known_token *token, double angle, double *room, const seen_token *out)
+{
+    int64_t count = t->token_bands;
     double cos_two = cos(2.0 * angle), sin_two = sin(2.0 * angle);
     double cos_four = cos(4.0 * angle), sin_four = sin(4.0 * angle);
-    for (int64_t band = 0; band < t->token_bands; band++) {
-        const double *f = token + band * t->features;
-        double power = pow(10.0, 2.0 * f[t->level]), peak = f[t->peak];
-        double two_re = f[t->cos2] * cos_two + f[t->sin2] * sin_two, two_im = f[t->sin2] * cos_two - f[t->cos2] * sin_two;
-        double four_re = f[t->cos4] * cos_four + f[t->sin4] * sin_four;
-        double four_im = f[t->sin4] * cos_four - f[t->cos4] * sin_four;
-        double axis = 0.25 * atan2(four_im, four_re), axis_cos = cos(2.0 * axis), axis_sin = sin(2.0 * axis);
-        double along = clipped(0.5 * (1.0 + two_re * axis_cos + two_im * axis_sin), 0.0, 1.0);
-        double stronger = along > 0.5 ? along : 1.0 - along;
-        double tone = peak * along / stronger, other = peak * (1.0 - along) / stronger;
-        double most = tone + other > 1.0 ? tone + other : 1.0;
-        tone = clipped(tone / most, 0.0, 1.0);
-        other = clipped(other / most, 0.0, 1.0);
-        double left = clipped(1.0 - (tone + other), 0.0, 1.0), noise = left < t->least_left ? 0.0 : power * left;
-        out->log_noise[band] = log((noise > 1e-30 ? noise : 1e-30) / t->per_octave);
-        out->lines[band] = power * tone;
-        out->lines[t->token_bands + band] = power * other;
-        out->cosine[band] = fabs(cos(axis));
-        out->cosine[t->token_bands + band] = fabs(sin(axis));
-        double size = sqrt(four_re * four_re + four_im * four_im), oriented = size > 1.0 ? 1.0 : size * size;
-        for (int64_t a = 0; a < t->angles; a++) {
-            const double *turn = t->turn + 4 * a;
-            double sum = 0.0;
-            for (int side = 0; side < 2; side++) {
-                double sine_two = side ? -turn[1] : turn[1], sine_four = side ? -turn[3] : turn[3];
-                double series = 1.0 + 4.0 / 3.0 * (two_re * turn[0] + two_im * sine_two)
-                              + 2.0 / 3.0 * (four_re * turn[2] + four_im * sine_four);
-                double facing = axis_cos * turn[0] + axis_sin * sine_two;
-                double line = along * exp(t->concentration * (facing - 1.0))
-                            + (1.0 - along) * exp(t->concentration * (-facing - 1.0));
-                double density = (1.0 - oriented) * series + oriented * line / t->bump_mean;
-                sum += density > 0.0 ? density : 0.0;
-            }
-            out->density[a * t->token_bands + band] = sum / (double)(2 * t->angles);
+    double *two_re = taken(&room, count), *two_im = taken(&room, count), *four_re = taken(&room, count);
+    double *four_im = taken(&room, count), *cosine = taken(&room, count), *sine = taken(&room, count);
+    double *along = taken(&room, count), *oriented = taken(&room, count);
+    for (int64_t band = 0; band < count; band++) {
+        two_re[band] = token->two_re[band] * cos_two + token->two_im[band] * sin_two;
+        two_im[band] = token->two_im[band] * cos_two - token->two_re[band] * sin_two;
+        four_re[band] = token->four_re[band] * cos_four + token->four_im[band] * sin_four;
+        four_im[band] = token->four_im[band] * cos_four - token->four_re[band] * sin_four;
+        oriented[band] = clipped(four_re[band] * four_re[band] + four_im[band] * four_im[band], 0.0, 1.0);
+    }
+    axes(two_re, two_im, four_re, four_im, count, cosine, sine, along);
+    for (int64_t band = 0; band < count; band++) {
+        double *line = out->lines + band, *octaves = out->octaves + band;
+        double tone, other, met = sqrt(0.5 * (1.0 + cosine[band])), across = 0.5 * fabs(sine[band]) / met;
+        tones(token->peak[band], along[band], &tone, &other);
+        line[0] = token->power[band] * tone;
+        line[count] = token->power[band] * other;
+        octaves[0] = token->octaves[band] + log2_of(met);
+        octaves[count] = token->octaves[band] + log2_of(across > 1e-30 ? across : 1e-30);
+    }
+    memset(out->density, 0, (size_t)(t->angles * count) * sizeof(double));
+    for (int64_t a = 0; a < 2 * t->angles; a++) {
+        const double *turn = t->turn + 4 * (a / 2);
+        double *density = out->density + a / 2 * count;
+        double sine_two = a % 2 ? -turn[1] : turn[1], sine_four = a % 2 ? -turn[3] : turn[3];
+        for (int64_t band = 0; band < count; band++) {
+            double series = 1.0 + 4.0 / 3.0 * (two_re[band] * turn[0] + two_im[band] * sine_two)
+                          + 2.0 / 3.0 * (four_re[band] * turn[2] + four_im[band] * sine_four);
+            double facing = cosine[band] * turn[0] + sine[band] * sine_two;
+            double line = along[band] * exp_of(t->concentration * (facing - 1.0))
+                        + (1.0 - along[band]) * exp_of(t->concentration * (-facing - 1.0));
+            double one = (1.0 - oriented[band]) * series + oriented[band] * line / t->bump_mean;
+            density[band] += (one > 0.0 ? one : 0.0) / (double)(2 * t->angles);
         }
     }
 }
 
-/* What the tip passes on of a wave, and the spots that bear it, as power. */
-static void tip(double kappa, double radius, double *passed, double *leaned)
+static void lean_on(const hnf_tables *t, double radius, double *passed, double *leaned)
 {
-    /* The spots' radius is half the contact's, so that exp(-q^2 / 5) is their fourth power. */
-    double q = TWO_PI * 0.5 * kappa * radius, spot = exp(-q * q / 5.0);
-    *leaned = spot;
-    *passed = spot * spot * spot * spot;
+    for (int64_t k = 0; k < t->bands; k++) {
+        /* The spots' radius is half the contact's, so that exp(-q^2 / 5) is their fourth power. */
+        double q = TWO_PI * 0.5 * t->kappa[k] * radius, spot = exp_of(-q * q / 5.0), square = spot * spot;
+        leaned[k] = spot;
+        passed[k] = square * square;
+    }
 }
 
-/* tokens: (states, token_size). scratch: (5 * bands + (angles + 5) * token_bands). out: power, noise (states, bands),
- * normal (states,), lines (2, states, 2 * token_bands), low (states, 2 * token_bands). */
+/* The cut through the noise: what stands at an angle is met further down. of, cut: (3, bands). */
+static void cut_through(const hnf_tables *t, const double *density, const double *restrict of, double *restrict cut)
+{
+    int64_t bands = t->bands;
+    memset(cut, 0, (size_t)(3 * bands) * sizeof(double));
+    for (int64_t angle = 0; angle < t->angles; angle++, density += t->token_bands) {
+        int64_t moved = t->shift[angle];
+        for (int64_t band = 0, k = moved; band < t->token_bands; band++) {
+            double here = density[band];
+            for (; k < t->nearest_end[band]; k++) {
+                cut[k - moved] += here * of[k];
+                cut[bands + k - moved] += here * of[bands + k];
+                cut[2 * bands + k - moved] += here * of[2 * bands + k];
+            }
+        }
+    }
+}
+
+static void met_by(const hnf_tables *t, contact_work *work, const double *token, const hnf_touch *hand)
+{
+    int other = !work->token || memcmp(token, work->token, (size_t)(t->features * t->token_bands) * sizeof(double));
+    int first = !work->token;
+    work->token = token;
+    if (other)
+        know(t, token, work->room, &work->known);
+    if (other || hand->angle != work->angle)
+        see(t, &work->known, hand->angle, work->room, &work->seen);
+    if (first || hand->radius != work->radius)
+        lean_on(t, hand->radius, work->passed, work->leaned);
+    work->angle = hand->angle;
+    work->radius = hand->radius;
+}
+
+void contact_of(const hnf_tables *t, contact_work *work, const double *token, const hnf_touch *hand, int64_t stride,
+                const hnf_contact *out)
+{
+    int64_t bands = t->bands;
+    met_by(t, work, token, hand);
+    double *room = work->room, *of = taken(&room, 3 * bands), *cut = taken(&room, 3 * bands);
+    double *up = of, *aside = of + bands, *met = of + 2 * bands, normal = 0.0;
+    for (int64_t k = 0; k < bands; k++) {
+        double wave = TWO_PI * t->kappa[k], height = work->known.height[k], leaned = height * work->leaned[k];
+        of[k] = height * work->passed[k];
+        of[bands + k] = leaned * wave * wave;
+        of[2 * bands + k] = leaned;
+    }
+    cut_through(t, work->seen.density, of, cut);
+    for (int64_t k = 0; k < bands; k++) {
+        double wave = TWO_PI * t->kappa[k], omega = wave * hand->speed, square = omega * omega;
+        double fade = arc_gain(t->kappa[k] * hand->speed), loud = square * square * fade * fade;
+        double damped = hand->damping * square, off = hand->stiffness - hand->mass * square;
+        double below = off * off + damped, spring = hand->stiffness * hand->stiffness + damped;
+        double sideways = (t->hand - square) * (t->hand - square) + t->hand_damping * square;
+        double leaning = cut[bands + k] + hand->flank * wave * wave * cut[2 * bands + k];
+        up[k] = below != 0.0 ? loud * spring / below : 0.0;
+        aside[k] = loud * hand->load_square / sideways;
+        met[k] = cut[k] * up[k];
+        out->power[k] = out->noise[k] = met[k] * hand->rubbed + leaning * aside[k];
+    }
+    for (int64_t k = 0; k < bands; k++)
+        normal += met[k];
+    /* The same for the tones, each in the two bands about it. */
+    for (int64_t line = 0; line < 2 * t->token_bands; line++) {
+        int64_t place = (int64_t)work->known.place[line % t->token_bands];
+        double wave = TWO_PI * t->kappa[place], passed = work->passed[place], leaned = work->leaned[place];
+        double where = t->per_octave * work->seen.octaves[line], whole = floor(where);
+        int64_t low = (int64_t)clipped(whole, -1e9, 1e9);
+        out->low[line] = low;
+        for (int tap = 0; tap < 2; tap++) {
+            double height = work->seen.lines[line] * (tap ? where - whole : 1.0 - (where - whole));
+            int64_t at = low + tap < 0 ? 0 : low + tap > bands - 1 ? bands - 1 : low + tap;
+            double wide = TWO_PI * t->kappa[at], tone = height * passed * up[at];
+            double sum = tone * hand->rubbed + height * leaned * (wave * wave + hand->flank * wide * wide) * aside[at];
+            out->lines[tap * stride + line] = sum;
+            if (at == low + tap) {
+                out->power[at] += sum;
+                normal += tone;
+            }
+        }
+    }
+    *out->normal = normal;
+}
+
+/* tokens: (states, token_size). scratch: as contact_work_in asks for. out: power, noise (states, bands), normal
+ * (states,), lines (2, states, 2 * token_bands), low (states, 2 * token_bands). */
 void hnf_linear_contact(const hnf_tables *t, const double *tokens, int64_t token_size, const hnf_touch *touch,
                         int64_t states, double *scratch, const hnf_contact *out)
 {
-    int64_t bands = t->bands, lines = 2 * t->token_bands;
-    double *flat = scratch, *slope = flat + bands, *lean = slope + bands, *up = lean + bands, *aside = up + bands;
-    seen now = {aside + bands, aside + bands + t->token_bands, aside + bands + 3 * t->token_bands,
-                aside + bands + 5 * t->token_bands};
+    int64_t lines = 2 * t->token_bands;
+    contact_work work = contact_work_in(t, scratch);
     for (int64_t state = 0; state < states; state++) {
-        const hnf_touch *hand = touch + state;
-        double *noise = out->noise + state * bands, *power = out->power + state * bands, normal = 0.0;
-        see(t, tokens + state * token_size, hand->angle, &now);
-        for (int64_t k = 0; k < bands; k++) {
-            double passed, leaned, wave = TWO_PI * t->kappa[k];
-            const double *level = now.log_noise + t->below[k];
-            double height = exp(level[0] * (1.0 - t->share[k]) + level[1] * t->share[k]);
-            tip(t->kappa[k], hand->radius, &passed, &leaned);
-            flat[k] = height * passed;
-            slope[k] = height * leaned * wave * wave;
-            lean[k] = height * leaned;
-        }
-        /* The cut, in place: what stands at an angle is met further down, and its own place is read before. */
-        double *flat_cut = power, *lean_cut = noise, *slope_cut = aside;
-        memset(flat_cut, 0, (size_t)bands * sizeof(double));
-        memset(lean_cut, 0, (size_t)bands * sizeof(double));
-        memset(slope_cut, 0, (size_t)bands * sizeof(double));
-        for (int64_t angle = 0; angle < t->angles; angle++) {
-            const double *share = now.density + angle * t->token_bands;
-            int64_t moved = t->shift[angle];
-            for (int64_t k = moved, end; k < bands; k = end) {
-                double here = share[t->token_band[k]];
-                for (end = k + 1; end < bands && t->token_band[end] == t->token_band[k];)
-                    end++;
-                for (int64_t j = k; j < end; j++) {
-                    flat_cut[j - moved] += here * flat[j];
-                    slope_cut[j - moved] += here * slope[j];
-                    lean_cut[j - moved] += here * lean[j];
-                }
-            }
-        }
-        for (int64_t k = 0; k < bands; k++) {
-            double f = t->kappa[k] * hand->speed, omega = TWO_PI * f, square = omega * omega, fade = arc_gain(f);
-            double damped = hand->damping * square, off = hand->stiffness - hand->mass * square;
-            double below = off * off + damped, spring = hand->stiffness * hand->stiffness + damped;
-            double sideways = (t->hand - square) * (t->hand - square) + t->hand_damping * square;
-            double wave = TWO_PI * t->kappa[k], leaning = slope_cut[k] + hand->flank * wave * wave * lean_cut[k];
-            up[k] = (below != 0.0 ? square * square * spring / below : 0.0) * fade * fade;
-            aside[k] = square * square / sideways * hand->load_square * fade * fade;
-            double met = flat_cut[k] * up[k];
-            normal += met;
-            power[k] = noise[k] = met * hand->rubbed + leaning * aside[k];
-        }
-        /* The same for the tones, each in the two bands about it. */
-        for (int64_t line = 0; line < lines; line++) {
-            int64_t band = line % t->token_bands;
-            const double *f = tokens + state * token_size + band * t->features;
-            double own = exp2(clipped(f[t->offset], -0.5, 0.5)) / t->wavelength[band], passed, leaned;
-            double octaves = t->per_octave * log2(own / t->kappa[0]);
-            int64_t place = (int64_t)clipped(rint(octaves), 0.0, (double)(bands - 1));
-            tip(t->kappa[place], hand->radius, &passed, &leaned);
-            double met = own * now.cosine[line], wave = TWO_PI * t->kappa[place];
-            double where = t->per_octave * log2((met > 1e-9 ? met : 1e-9) / t->kappa[0]), whole = floor(where);
-            int64_t low = (int64_t)clipped(whole, -1e9, 1e9);
-            out->low[state * lines + line] = low;
-            for (int tap = 0; tap < 2; tap++) {
-                double height = now.lines[line] * (tap ? where - whole : 1.0 - (where - whole));
-                int64_t at = low + tap < 0 ? 0 : low + tap > bands - 1 ? bands - 1 : low + tap;
-                double wide = TWO_PI * t->kappa[at], tone = height * passed * up[at];
-                double leaning = height * leaned * (wave * wave + hand->flank * wide * wide);
-                double sum = tone * hand->rubbed + leaning * aside[at];
-                out->lines[(tap * states + state) * lines + line] = sum;
-                if (at == low + tap) {
-                    power[at] += sum;
-                    normal += tone;
-                }
-            }
-        }
-        out->normal[state] = normal;
+        hnf_contact one = {
+            out->power + state * t->bands, out->noise + state * t->bands, out->normal + state,
+            out->lines + state * lines, out->low + state * lines,
+        };
+        contact_of(t, &work, tokens + state * token_size, touch + state, states * lines, &one);
     }
 }

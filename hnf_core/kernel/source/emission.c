@@ -3,10 +3,12 @@
 #include <math.h>
 #include <string.h>
 
+#include "contact.h"
+#include "elementary.h"
 #include "fades.h"
 #include "sums.h"
 
-static double log_amplitude(double power, double quiet) { return 0.5 * log(power + quiet); }
+static inline double log_amplitude(double power, double quiet) { return 0.5 * log_of(power + quiet); }
 
 /* Power of each band in time when the surface passes at a speed: power (bands,) per arc band. */
 static void in_time(const hnf_emitter *e, const double *power, int64_t bands, double per_octave, double speed,
@@ -56,12 +58,13 @@ void hnf_inputs(const hnf_tables *t, const hnf_emitter *e, const double *tokens,
 {
     int64_t lines = 2 * t->token_bands;
     double *power = scratch, *noise = power + t->bands, *sums = noise + t->bands, *in_bands = sums + t->bands + 1;
-    double *line = in_bands + e->time_bands, *room = line + 2 * lines, normal;
+    double *line = in_bands + e->time_bands, normal;
+    contact_work work = contact_work_in(t, line + 2 * lines);
     for (int64_t state = 0; state < states; state++) {
         const hnf_motion *m = motion + state;
         double *prior = expected->prior + state * e->carriers, *level = expected->line + state * 2 * lines, all = 0.0;
         hnf_contact contact = {power, noise, &normal, line, expected->low + state * lines};
-        hnf_linear_contact(t, tokens + state * token_stride, 0, touch + state, 1, room, &contact);
+        contact_of(t, &work, tokens + state * token_stride, touch + state, lines, &contact);
         in_time(e, power, t->bands, t->per_octave, m->speed, sums, in_bands);
         for (int64_t band = 0; band < e->time_bands; band++)
             prior[band] = log_amplitude(in_bands[band] * e->time_share, e->quiet_power);
@@ -91,40 +94,64 @@ void hnf_inputs(const hnf_tables *t, const hnf_emitter *e, const double *tokens,
     }
 }
 
-static double least(double a, double b) { return a < b ? a : b; }
+static inline double least(double a, double b) { return a < b ? a : b; }
+
+/* Power of the tones and their harmonics per arc band. gain: (harmonics, lines) logs. room: (2 * lines,). */
+static void ringing(const hnf_tables *t, const hnf_emitter *e, const float *gain, const double *level,
+                    const int64_t *low, double *room, double *out)
+{
+    int64_t lines = 2 * t->token_bands;
+    memset(out, 0, (size_t)t->bands * sizeof(double));
+    for (int64_t order = 0; order < e->harmonics; order++, gain += lines) {
+        for (int tap = 0; tap < 2; tap++) {
+            for (int64_t line = 0; line < lines; line++) {
+                double from = gain[line] + e->harmonic_start[order];
+                room[tap * lines + line] = exp_of(2.0 * least(from + level[tap * lines + line], e->ceiling));
+            }
+        }
+        for (int64_t line = 0; line < lines; line++) {
+            int64_t at = low[line] + e->harmonic_shift[order];
+            if (at >= 0 && at < t->bands)
+                out[at] += room[line];
+            if (at >= -1 && at < t->bands - 1)
+                out[at + 1] += room[lines + line];
+        }
+    }
+}
 
 /* alpha (states, carriers) of what the head answers (states, outputs): per band in time, per knot of arc length, and a
- * log gain for each tone and its harmonics. scratch: (arc bands,). */
+ * log gain for each tone and its harmonics. scratch: 2 * arc bands + 4 * token bands. */
 void hnf_emitted(const hnf_tables *t, const hnf_emitter *e, const float *head, const hnf_motion *motion,
                  const hnf_expected *expected, int64_t states, double *scratch, double *alpha)
 {
     int64_t lines = 2 * t->token_bands, gains = e->line_gains ? e->harmonics * lines : 0;
+    double *tones = scratch, *own = tones + t->bands, *room = own + t->bands;
+    memset(tones, 0, (size_t)t->bands * sizeof(double));
     for (int64_t state = 0; state < states; state++, head += e->outputs) {
         const hnf_motion *m = motion + state;
-        const double *prior = expected->prior + state * e->carriers, *level = expected->line + state * 2 * lines;
-        const int64_t *low = expected->low + state * lines;
-        const float *knots = head + e->time_bands, *gain = head + e->outputs - gains;
-        double *out = alpha + state * e->carriers, *arc = out + e->time_bands;
+        const double *prior = expected->prior + state * e->carriers, *skip = e->skip;
+        const float *knots = head + e->time_bands;
+        double *out = alpha + state * e->carriers;
         if (m->moving == 0.0) {
             memset(out, 0, (size_t)e->carriers * sizeof(double));
             continue;
         }
         for (int64_t band = 0; band < e->time_bands; band++)
-            out[band] = m->moving * exp(least(head[band] + e->skip[band] * prior[band], e->ceiling));
-        memset(scratch, 0, (size_t)t->bands * sizeof(double));
-        for (int64_t order = 0; order < (gains ? e->harmonics : 0); order++) {
-            for (int64_t j = 0; j < 2 * lines; j++) {
-                double from = gain[order * lines + j % lines] + e->harmonic_start[order];
-                int64_t at = low[j % lines] + e->harmonic_shift[order] + j / lines;
-                if (at >= 0 && at < t->bands)
-                    scratch[at] += exp(2.0 * least(from + level[j], e->ceiling));
-            }
-        }
+            out[band] = m->moving * exp_of(least(head[band] + skip[band] * prior[band], e->ceiling));
+        out += e->time_bands;
+        prior += e->time_bands;
+        skip += e->time_bands;
+        if (gains)
+            ringing(t, e, head + e->outputs - gains, expected->line + state * 2 * lines, expected->low + state * lines,
+                    room, tones);
         for (int64_t k = 0; k < t->bands; k++) {
             const float *knot = knots + e->knot[k];
-            double share = e->knot_share[k], own = knot[0] + (share > 0.0 ? share * (knot[1] - knot[0]) : 0.0);
-            double noise = exp(least(own + e->skip[e->time_bands + k] * prior[e->time_bands + k], e->ceiling));
-            arc[k] = (gains ? sqrt(noise * noise + scratch[k]) : noise) * m->moving * arc_gain(t->kappa[k] * m->speed);
+            double share = e->knot_share[k];
+            own[k] = knot[0] + (share > 0.0 ? share * (knot[1] - knot[0]) : 0.0);
+        }
+        for (int64_t k = 0; k < t->bands; k++) {
+            double noise = exp_of(least(own[k] + skip[k] * prior[k], e->ceiling));
+            out[k] = sqrt(noise * noise + tones[k]) * m->moving * arc_gain(t->kappa[k] * m->speed);
         }
     }
 }

@@ -15,7 +15,7 @@
 #endif
 
 /* Raised whenever a signature or a meaning changes; library.py asks. */
-#define HNF_ABI 4
+#define HNF_ABI 5
 
 typedef struct { float re, im; } hnf_complex;
 
@@ -84,7 +84,7 @@ typedef struct {
     const double *kappa;        /* (bands,) cycles/m */
     const int64_t *below;       /* (bands,) the token band below each, */
     const double *share;        /* and how far it is on the way to the next */
-    const int64_t *token_band;  /* (bands,) the nearest */
+    const int64_t *nearest_end; /* (token_bands,) arc bands to which each is the nearest end before this one */
     const double *wavelength;   /* (token_bands,) m */
     const double *turn;         /* (angles, 4) cos 2a, sin 2a, cos 4a, sin 4a */
     const int64_t *shift;       /* (angles,) bands by which a cut moves a wave that stands there */
