@@ -13,7 +13,7 @@ from .limiter import Limiter
 from .limits import Limits
 from .resample import resampler
 from .sink import Counts, SinkFormat
-from .source import Samples, Source
+from .source import Preparing, Samples, Source
 from .stage import Stage
 
 
@@ -73,6 +73,11 @@ class Chain:
         if samples.shape[1] < self._device.channels:
             samples = np.repeat(samples, self._device.channels, axis=1)
         return self.limiter.process(samples)
+
+    def prepare(self) -> None:
+        """See source.Preparing."""
+        if isinstance(self._source, Preparing) and not self.ended:
+            self._source.prepare()
 
     def _finite(self, block: Samples) -> Samples:
         good = np.isfinite(block)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,4 +22,13 @@ class Source(Protocol):
 
     def read(self, frames: int) -> Samples:
         """(n, channels) float32 m/s²: the next n ≤ frames; n < frames says that it has ended."""
+        ...
+
+
+@runtime_checkable
+class Preparing(Source, Protocol):
+    """A source with work that needs not wait until the next block is asked for."""
+
+    def prepare(self) -> None:
+        """Do it: the last block is on its way. By the thread that reads; who never calls it gets the same samples."""
         ...

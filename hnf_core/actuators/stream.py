@@ -43,7 +43,8 @@ _LEVEL_S = 0.02
 
 class Stream:
     """source on sink, once. ahead_blocks: of block_s each, ready in advance (1 for what is touched live).
-    prompt: see resampler(). compute, compute_cpu, latency: of each block; see StreamReport.
+    prompt: see resampler(). compute, compute_cpu, latency: of each block; see StreamReport. prepared: what the source
+    made ready after each, once it was on its way.
 
     A context manager: leaving it stops. A problem of the device or of the source ends the stream in silence and is
     told by report.problem; another Stream may follow at once.
@@ -74,7 +75,7 @@ class Stream:
         self._ended = threading.Event()
         self._paused = False
         self._lock = threading.Lock()
-        self.compute, self.compute_cpu, self.latency = Durations(), Durations(), Durations()
+        self.compute, self.compute_cpu, self.prepared, self.latency = (Durations() for _ in range(4))
         self._device: SinkFormat | None = None
         self._chain: Chain | None = None
         self._ring: Ring | None = None
@@ -196,6 +197,10 @@ class Stream:
                 self.compute.note(taken)
                 self.compute_cpu.note(computed)
             ring.put(counts, stamp)
+            stamp = time.perf_counter()
+            chain.prepare()
+            with self._lock:
+                self.prepared.note(time.perf_counter() - stamp)
 
     # ------------------------------------------------------------------ pump
 

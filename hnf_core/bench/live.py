@@ -147,7 +147,7 @@ def _latencies(where: str, sink: Sink, limits: Limits, seconds: float) -> list[R
         return [Row(NAME, where, note=report.problem or "nothing was felt")]
     note = (
         f"{form.rate_hz:g} Hz, {report.underruns} underruns, a block computed in {report.compute_p99_ms:.2f} ms (99 %, "
-        f"{report.compute_cpu_p99_ms:.2f} of CPU)"
+        f"{report.compute_cpu_p99_ms:.2f} of CPU), then {stream.prepared.percentile_ms(99.0):.2f} ms for the next"
     )
     return [
         Row(

@@ -47,6 +47,16 @@ class WavePlan:
     def size(self) -> int:
         return len(self.window)
 
+    def part(self, low: int, high: int) -> WavePlan:
+        """Of bands low … high − 1 alone."""
+        narrow = slice(*np.searchsorted(self.narrow, (low, high)))
+        broad = self.broad[slice(*np.searchsorted(self.broad, (low, high)))] - low
+        cosine, sine = self.turns
+        return WavePlan(
+            self.starts[low : high + 1], self.window, self.narrow[narrow] - low, broad, self.slow,
+            (cosine[narrow], sine[narrow]),
+        )  # fmt: skip
+
 
 def wave_plan(starts: Starts, window: Float, middle: int = 0) -> WavePlan:
     """Of bands that are turned back by `middle` turns a period; window: (size,)."""
@@ -59,12 +69,12 @@ def wave_plan(starts: Starts, window: Float, middle: int = 0) -> WavePlan:
     )  # fmt: skip
 
 
-def real_waves(bins: Complex, plan: WavePlan) -> Float32:
+def real_waves(bins: Complex, plan: WavePlan, out: Float32 | None = None) -> Float32:
     """2 Re Σ_k X_k e^{2πikn/size} of each of B bands, times the window; (B, size).
 
-    bins: (Σ W,) X of the bands one after another; every bin lies between 0 and size / 2.
+    bins: (Σ W,) X of the bands one after another; every bin lies between 0 and size / 2. out: where to put them.
     """
-    out = np.empty((len(plan.starts) - 1, plan.size), dtype=np.float32)
+    out = np.empty((len(plan.starts) - 1, plan.size), dtype=np.float32) if out is None else out
     compiled = kernel()
     if len(plan.narrow) and compiled is not None and plan.size % TILE == 0:
         given = plan.starts, plan.narrow, plan.slow, plan.turns, plan.window
@@ -87,14 +97,17 @@ def real_waves(bins: Complex, plan: WavePlan) -> Float32:
     return out
 
 
-def complex_waves(bins: Complex, plan: WavePlan) -> NDArray[np.complex64]:
-    """Σ_k X_k e^{2πi(k − middle)n/size} of each of B bands of at most WIDEST bins, times the window; (B, size)."""
+def complex_waves(bins: Complex, plan: WavePlan, out: NDArray[np.complex64] | None = None) -> NDArray[np.complex64]:
+    """Σ_k X_k e^{2πi(k − middle)n/size} of each of B bands of at most WIDEST bins, times the window; (B, size). out:
+    where to put them."""
+    out = np.empty((len(plan.starts) - 1, plan.size), dtype=np.complex64) if out is None else out
     compiled = kernel()
     if compiled is not None and plan.size % TILE == 0:
-        return kernel_noise.complex_waves(compiled, bins, plan.starts, plan.slow, plan.turns, plan.window)
+        kernel_noise.complex_waves(compiled, bins, plan.starts, plan.slow, plan.turns, plan.window, out)
+        return out
     turn = plan.turns[0] + 1j * plan.turns[1]
     ahead, back = _envelopes(_padded(bins, plan), plan.slow)
-    return np.asarray(plan.window * _whole(ahead * turn, back * turn.conj()), dtype=np.complex64)
+    return np.multiply(plan.window, _whole(ahead * turn, back * turn.conj()), out=out, casting="same_kind")
 
 
 def _padded(bins: Complex, plan: WavePlan) -> Complex:

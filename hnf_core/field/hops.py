@@ -18,6 +18,7 @@ from .carriers import ARC_BLOCK, ARC_PER_OCTAVE, ARC_STREAM, MODEL_RATE_HZ, TIME
 from .noise import Bins, band_bins, bins_of, crossfade_window
 
 Float32 = NDArray[np.float32]
+Waves = NDArray[np.complex64]
 
 HOP = TIME_BLOCK // 2
 """Samples of the model rate in a hop of time carriers."""
@@ -76,12 +77,22 @@ def _joined(one: Float32, two: Float32, three: Float32, four: Float32, margin: i
 
 
 @lru_cache(maxsize=KEPT_ARC_HOPS)
-def arc_hop(carriers: Carriers, seed: int, octave: int, hop: int) -> NDArray[np.complex64]:
+def arc_hop(carriers: Carriers, seed: int, octave: int, hop: int) -> Waves:
     """(24, ARC_HOP) of one octave, at s = (hop · ARC_HOP + j) · CELL · arc_step_m(octave)."""
-    before, after = (_arc_block(carriers, seed, octave, block) for block in (hop - 1, hop))
-    waves = before[:, ARC_HOP:] + after[:, :ARC_HOP]
+    waves = join_arc(*(_arc_block(carriers, seed, octave, block) for block in (hop - 1, hop)))
     waves.setflags(write=False)
     return waves
+
+
+def join_arc(before: Waves, after: Waves, out: Waves | None = None) -> Waves:
+    """Where a block (24, ARC_CELLS) fades in over the one before it: (24, ARC_HOP)."""
+    return np.add(before[:, ARC_HOP:], after[:, :ARC_HOP], out=out)
+
+
+def draw_arc_block(carriers: Carriers, seed: int, octave: int, block: int, out: Waves | None = None) -> Waves:
+    """(24, ARC_CELLS), to be joined to its neighbours."""
+    bins, plan = _arc_plan(carriers, octave)
+    return complex_waves(2.0 * band_bins(seed, ARC_STREAM + octave, block, bins), plan, out)
 
 
 @lru_cache(maxsize=4)
@@ -92,9 +103,8 @@ def _time_block(carriers: Carriers, seed: int, block: int) -> tuple[Float32, ...
 
 
 @lru_cache(maxsize=32)  # of eight octaves the two or three that a hop meets
-def _arc_block(carriers: Carriers, seed: int, octave: int, block: int) -> NDArray[np.complex64]:
-    bins, plan = _arc_plan(carriers, octave)
-    return complex_waves(2.0 * band_bins(seed, ARC_STREAM + octave, block, bins), plan)
+def _arc_block(carriers: Carriers, seed: int, octave: int, block: int) -> Waves:
+    return draw_arc_block(carriers, seed, octave, block)
 
 
 @lru_cache(maxsize=4)
@@ -102,7 +112,7 @@ def _time_plans(carriers: Carriers) -> tuple[Bins, tuple[WavePlan, ...]]:
     """Of each level."""
     bins = bins_of(carriers.time_edges() * (TIME_BLOCK / MODEL_RATE_HZ), TIME_BLOCK)
     return bins, tuple(
-        wave_plan(bins.starts[bands.start : bands.stop + 1], _window(TIME_BLOCK, 1 << level))
+        wave_plan(bins.starts[bands.start : bands.stop + 1], block_window(TIME_BLOCK, 1 << level))
         for level, bands in enumerate(time_levels(carriers))
     )
 
@@ -112,9 +122,9 @@ def _arc_plan(carriers: Carriers, octave: int) -> tuple[Bins, WavePlan]:
     first = octave * ARC_PER_OCTAVE
     edges = carriers.arc_edges()[first : first + ARC_PER_OCTAVE + 1] * (carriers.arc_step_m(octave) * ARC_BLOCK)
     bins = bins_of(edges, ARC_BLOCK)
-    return bins, wave_plan(bins.starts, _window(ARC_BLOCK, CELL), MIDDLE)
+    return bins, wave_plan(bins.starts, block_window(ARC_BLOCK, CELL), MIDDLE)
 
 
-def _window(size: int, step: int) -> NDArray[np.float64]:
+def block_window(size: int, step: int) -> NDArray[np.float64]:
     """Every step-th sample of the fade of a block, over the block's length."""
     return crossfade_window(size)[::step] / size

@@ -13,8 +13,10 @@ A hand that slides steadily therefore sounds as in synthesise(), sample by sampl
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,12 +95,13 @@ class LiveSynthesis:
         self._noise, self._arcs = LiveNoise(self._carriers, seed), LiveArc(self._carriers, seed)
         self._pressing = LivePressing(mechanics, probe)
         self._kappa = self._carriers.arc_centres()
+        self._lowest = self._kappa[::ARC_PER_OCTAVE].tolist()
         memory = field.config.stride * (field.config.states - 1) + 1
         self._past = np.zeros((memory, self._carriers.count)), np.zeros((memory, field.config.states))
         self._states = 0
         self._places: deque[float] = deque(maxlen=4)
         self._amplitude, self._audible, self._air = np.zeros(self._carriers.count), 0.0, 0
-        self._sample = -SAMPLES_PER_STATE
+        self._sample, self._prepared = -SAMPLES_PER_STATE, True
 
     @property
     def materials(self) -> int:
@@ -119,23 +122,32 @@ class LiveSynthesis:
         is not there."""
         if not 0 <= state.material < self.materials:
             raise UsageError(f"there is no material {state.material} of {self.materials}.")
+        self.prepare()
         while len(self._places) < 4:
             self._places.append(state.position)
         self._places.append(state.position)
         out = self._felt(state) if state.contact or self._audible > 0.0 else self._silent()
         self._sample += SAMPLES_PER_STATE
-        speed = (self._places[-1] - self._places[-2]) * ACTION_RATE_HZ
-        self._noise.prepare(self._sample)
-        self._arcs.prepare(self._places[-1], speed)
+        self._prepared = False
         return out
 
+    def prepare(self) -> None:
+        """Noise for the states to come, as much as is one state's share. step() begins with it where nobody asked for
+        it since the last one: who has time between two states asks, and the next is made the sooner."""
+        if self._prepared:
+            return
+        self._prepared = True
+        busy = self._arcs.prepare(self._places[-1], (self._places[-1] - self._places[-2]) * ACTION_RATE_HZ)
+        self._noise.prepare(self._sample, spare=not busy)
+
     def _felt(self, state: LiveState) -> Float:
-        before, travel = self._amplitude, float(np.abs(np.diff(self._places)).max())
+        before, travel = self._amplitude, max(abs(new - old) for old, new in pairwise(self._places))
         self._amplitude = self._accumulated(state)
         self._amplitude[self._carriers.arc_slice] *= self._kappa * (travel * ACTION_RATE_HZ) < BAND_END_HZ
         fade = self._fade(state.contact)
         pressing = self._pressing.step(state.force if state.contact else 0.0, state.material)
-        return np.asarray(fade * (self._texture(before, self._amplitude, travel) + pressing))
+        out = self._texture(before, self._amplitude, travel) + pressing
+        return out if fade is None else fade * out
 
     def _silent(self) -> Float:
         """In the air for so long that nothing is heard or remembered: the next touch begins anew."""
@@ -145,20 +157,24 @@ class LiveSynthesis:
 
     def _accumulated(self, state: LiveState) -> Float:
         """(K,) Σ_n w_n α of the past states; as field.accumulate."""
-        config, direction = self._config, np.array(state.direction)
-        alpha, sigma = self._emission[state.material].at(direction, state.speed, state.force, state.contact)
+        emission, (emitted, density) = self._emission[state.material], self._past
+        alpha, sigma = emission.at(state.direction, state.speed, state.force, state.contact)
         if self._states == 0:
-            self._past[1][:] = sigma  # before the first state nothing was emitted, as densely as then
-        rows = (self._states - config.stride * np.arange(config.states)) % len(self._past[0])
-        self._past[0][rows[0]], self._past[1][rows[0]] = alpha, sigma
+            density[:] = sigma  # before the first state nothing was emitted, as densely as then
+        row = self._states % len(emitted)
+        emitted[row], density[row] = alpha, sigma
         self._states += 1
-        density = self._past[1][rows, np.arange(config.states)]
-        # rendering.render_weights, whose sums in pairs no handful of states needs.
-        weights = np.exp(density - np.cumsum(density)) * -np.expm1(-density)
-        return np.asarray(weights @ self._past[0][rows])
+        out, passed = np.zeros(self._carriers.count), 0.0
+        # rendering.render_weights: sums in pairs no handful of states needs, nor arrays.
+        for n in range(self._config.states):
+            past = row - self._config.stride * n  # from the end where it is below 0
+            own = float(density[past, n])
+            out += math.exp(-passed) * -math.expm1(-own) * emitted[past]
+            passed += own
+        return out
 
-    def _fade(self, contact: bool) -> Float:
-        """(SAMPLES_PER_STATE,) of this stretch."""
+    def _fade(self, contact: bool) -> Float | None:
+        """(SAMPLES_PER_STATE,) of this stretch; None for all of it."""
         before = self._audible
         if contact and before == 0.0:
             self._pressing.forget()  # what still rang unheard must not come up with the new touch
@@ -166,10 +182,12 @@ class LiveSynthesis:
         self._air = 0 if contact else self._air + 1
         fading = max(1.0 - max(self._air - 1, 0) / _FADE_STATES, 0.0)
         self._audible = 1.0 if contact else min(fading, before)
+        if before == self._audible == 1.0:
+            return None
         return np.asarray(np.sin(0.5 * np.pi * (before + (self._audible - before) * _SHARE)) ** 2)
 
     def _texture(self, before: Float, now: Float, travel: float) -> Float:
-        carriers, pair = self._carriers, np.stack([before, now]).astype(np.float32)
+        carriers, pair = self._carriers, np.array([before, now], dtype=np.float32)
         out = np.zeros(SAMPLES_PER_STATE)
         if not pair.any():
             return out
@@ -182,13 +200,15 @@ class LiveSynthesis:
     def _arc(self, pair: NDArray[np.float32], travel: float) -> Float:
         """Σ_k A_k c_k(s(t)). pair: (2, octaves, 24). An octave that is left behind, being read too fast, fades out on
         the spot."""
-        active = np.flatnonzero(pair.any(axis=(0, 2)))
-        fast = self._kappa[active * ARC_PER_OCTAVE] * (travel * ACTION_RATE_HZ) >= BAND_END_HZ
+        lowest = BAND_END_HZ / max(travel * ACTION_RATE_HZ, 1e-12)
+        active = np.flatnonzero(pair.any(axis=(0, 2))).tolist()
+        heard = [octave for octave in active if self._lowest[octave] < lowest]
         out = np.zeros(SAMPLES_PER_STATE)
-        if not fast.all():
-            out += self._arcs.read(pair, active[~fast], self._path())
-        if fast.any():
-            out += self._arcs.read(pair, active[fast], np.full(SAMPLES_PER_STATE, self._places[-2]))
+        if heard:
+            out += self._arcs.read(pair, heard, self._path())
+        if len(heard) < len(active):
+            left = [octave for octave in active if self._lowest[octave] >= lowest]
+            out += self._arcs.read(pair, left, np.full(SAMPLES_PER_STATE, self._places[-2]))
         return out
 
     def _path(self) -> Float:

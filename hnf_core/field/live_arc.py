@@ -8,26 +8,23 @@ nobody could foresee (a jump) is made at once.
 from __future__ import annotations
 
 import math
-from contextlib import nullcontext
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blas import one_blas_thread
-from ..kernel import hop as kernel_hop
-from ..kernel.hop import Piece
+from ..kernel.hop import ArcReader, Piece
 from ..kernel.library import kernel
 from .carriers import MODEL_RATE_HZ, Carriers
-from .hops import ARC_CELLS, ARC_HOP, CELL, MIDDLE, arc_hop
+from .hops import ARC_CELLS, ARC_HOP, CELL, MIDDLE
 from .linear_contact import BAND_END_HZ
+from .live_octave import LiveOctave
 from .texture import cell_weights, hop_tables
 from .timeline import SAMPLES_PER_STATE
 
 Float = NDArray[np.float64]
 Single = NDArray[np.float32]
 
-KEPT_HOPS = 4
-"""Of an octave: where the hand is, the next on either side, and what a hand that turns about a border has left."""
 SOON = 2.0
 """Steps: what is needed by then is made whatever else was."""
 AUDIBLE_SOON = 1.5
@@ -41,56 +38,61 @@ class LiveArc:
     """All octaves of a seed. Made ready for a start at s = 0. at_once: hops that a step had to wait for."""
 
     def __init__(self, carriers: Carriers, seed: int) -> None:
-        self._carriers, self._seed, self.at_once = carriers, seed, 0
+        self.at_once = 0
+        self._reader = ArcReader(hop_tables(carriers), _SHARE)
         octaves = range(carriers.arc_octaves)
         self._per_m = [1.0 / (CELL * carriers.arc_step_m(octave)) for octave in octaves]
         self._lowest = [carriers.arc_start_per_m * 2.0**octave for octave in octaves]
-        self._kept: list[dict[int, Piece]] = [{} for _ in octaves]
-        for octave in octaves:
+        self._kept = [LiveOctave(carriers, seed, octave) for octave in octaves]
+        for each in self._kept:
             for hop in (-1, 0):
-                self._make(octave, hop)
+                each.make(hop)
 
     @property
     def kept(self) -> int:
         """Hops in memory."""
-        return sum(map(len, self._kept))
+        return sum(len(each.hops) for each in self._kept)
 
-    def prepare(self, place: float, speed: float) -> None:
+    def prepare(self, place: float, speed: float) -> bool:
         """What the hand at s = place [m] and ds/dt = speed [m/s] is nearest to asking for: one hop, or all that it
-        asks for SOON."""
+        asks for SOON. Whether there was any."""
         missing: list[tuple[float, int, int]] = []
+        fastest = AUDIBLE_SOON * BAND_END_HZ / max(abs(speed), 1e-9)
         for octave, (per_m, lowest) in enumerate(zip(self._per_m, self._lowest, strict=True)):
-            if lowest * abs(speed) < AUDIBLE_SOON * BAND_END_HZ:
-                cell, pace = place * per_m, speed * per_m * SAMPLES_PER_STATE / MODEL_RATE_HZ
-                first, last = math.floor((cell - 1.0) / ARC_HOP), math.floor((cell + 3.0) / ARC_HOP)
-                ahead, behind, room = last + 1, first - 1, (last + 1) * ARC_HOP - 3.0 - cell
-                if pace < 0.0:
-                    ahead, behind, room = behind, ahead, cell - 1.0 - first * ARC_HOP
-                steps = room / max(abs(pace), 1e-9)
-                wanted = ((-1.0, first), (-1.0, last), (steps, ahead), (math.inf, behind))
-                missing += [(when, octave, hop) for when, hop in wanted if hop not in self._kept[octave]][:1]
+            hops, cell = self._kept[octave].hops, place * per_m
+            first, last = math.floor((cell - 1.0) / ARC_HOP), math.floor((cell + 3.0) / ARC_HOP)
+            near = first in hops and last in hops and first - 1 in hops and last + 1 in hops
+            if near or lowest >= fastest:
+                continue
+            pace = speed * per_m * SAMPLES_PER_STATE / MODEL_RATE_HZ
+            ahead, behind, room = last + 1, first - 1, (last + 1) * ARC_HOP - 3.0 - cell
+            if pace < 0.0:
+                ahead, behind, room = behind, ahead, cell - 1.0 - first * ARC_HOP
+            steps = room / max(abs(pace), 1e-9)
+            wanted = ((-1.0, first), (-1.0, last), (steps, ahead), (math.inf, behind))
+            missing += [(when, octave, hop) for when, hop in wanted if hop not in hops][:1]
         for number, (steps, octave, hop) in enumerate(sorted(missing)):
             if number == 0 or 0.0 <= steps < SOON:
-                self._make(octave, hop)
+                self._kept[octave].make(hop)
+        return bool(missing)
 
-    def read(self, pair: Single, octaves: NDArray[np.intp], place: Float) -> Float:
+    def read(self, pair: Single, octaves: Sequence[int], place: Float) -> Float:
         """Σ_k A_k c_k(s) (SAMPLES_PER_STATE,) of octaves at place [m]. pair: (2, every octave, 24) amplitudes at the
         state before and at this one, linear between."""
         compiled = kernel()
         if compiled is None:
-            return self._read_plainly(pair, octaves.tolist(), place)
-        tables, flat = hop_tables(self._carriers), pair.reshape(2, -1)
-        found = kernel_hop.arcs(compiled, tables, flat, octaves.tolist(), place, _SHARE, self._piece)
-        return found.astype(np.float64)
+            return self._read_plainly(pair, octaves, place)
+        self._reader.amplitude[:] = pair.reshape(2, -1)
+        return self._reader.read(compiled, octaves, place, self._piece).astype(np.float64)
 
     def _piece(self, octave: int, hop: int) -> Piece:
         kept = self._kept[octave]
-        if hop not in kept:
-            self._make(octave, hop)
+        if hop not in kept.hops:
+            kept.make(hop)
             self.at_once += 1
-        return kept[hop]
+        return kept.hops[hop]
 
-    def _read_plainly(self, pair: Single, octaves: list[int], place: Float) -> Float:
+    def _read_plainly(self, pair: Single, octaves: Sequence[int], place: Float) -> Float:
         """In numpy, all octaves at once."""
         at = place * np.array([[self._per_m[octave]] for octave in octaves])
         floor = np.floor(at)
@@ -111,11 +113,3 @@ class LiveArc:
         angle = (2.0 * np.pi * (turn - np.floor(turn))).astype(np.float32)
         spun = here + _SHARE * (after - here)
         return np.asarray((spun.real * np.cos(angle) - spun.imag * np.sin(angle)).sum(axis=0), dtype=np.float64)
-
-    def _make(self, octave: int, hop: int) -> None:
-        kept = self._kept[octave]
-        while len(kept) >= KEPT_HOPS:
-            del kept[max(kept, key=lambda other: abs(other - hop))]
-        # Without the kernel it is a product of matrices, for which OpenBLAS would wake threads and wait for them.
-        with nullcontext() if kernel() is not None else one_blas_thread():
-            kept[hop] = Piece.of(arc_hop(self._carriers, self._seed, octave, hop))

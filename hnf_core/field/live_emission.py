@@ -6,6 +6,7 @@ What a state does not change (token, mechanics, probe) is worked out once per ma
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from ctypes import CDLL
 from functools import cached_property
 
@@ -13,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import UsageError
-from ..kernel.contact import TOUCH
-from ..kernel.emission import MOTION, Layers, emitted, inputs
+from ..kernel.emission import OneState
 from ..kernel.library import kernel
 from ..material.mechanics import Mechanics
 from ..material.probe import PROBES
@@ -37,6 +37,7 @@ from .live_linear import LinearState, LiveLinear, TimeShare
 
 Float = NDArray[np.float64]
 Single = NDArray[np.float32]
+Direction = Sequence[float] | Float
 
 _START, _SHIFT = np.asarray(START_LOG)[:, None, None], np.asarray(SHIFTS)[:, None, None]
 _PLACES = _SHIFT + np.arange(2)[:, None]
@@ -56,11 +57,12 @@ class LiveEmission:
         if config.physics and not config.carriers.arc_count:
             raise UsageError("this field has no arc-length carriers to be felt live with.", remedy="Use another field.")
         self._of = field, np.array(token, dtype=np.float64)[None], mechanics, probe
-        self.at(np.array([1.0, 0.0]), 0.0, 0.0, contact=False)  # the one that serves is made now: no touch waits for it
+        self.at((1.0, 0.0), 0.0, 0.0, contact=False)  # the one that serves is made now: no touch waits for it
 
-    def at(self, direction: Float, speed: float, force: float, contact: bool) -> tuple[Float, Float]:
-        """α (K,), 0 at rest and out of contact, and σΔt (N,). direction: (2,); speed: m/s; force: N."""
-        angle = float(np.arctan2(direction[1], direction[0]))
+    def at(self, direction: Direction, speed: float, force: float, contact: bool) -> tuple[Float, Float]:
+        """α (K,), 0 at rest and out of contact, and σΔt (N,); the next call may overwrite both. direction: x, y; speed:
+        m/s; force: N."""
+        angle = math.atan2(direction[1], direction[0])
         pace, load = max(speed, SPEED_FLOOR_M_S), max(force, FORCE_FLOOR_N)
         moving = min(speed / SPEED_FLOOR_M_S, 1.0) * min(max(force, 0.0) / FORCE_FLOOR_N, 1.0) if contact else 0.0
         compiled = kernel()
@@ -100,7 +102,7 @@ class PlainEmission:
             self._time, self._skip = TimeShare(carriers), field.parameters["skip"].astype(np.float64)
         self._mass = PROBES[probe].mass_kg
 
-    def at(self, direction: Float, angle: float, pace: float, load: float, moving: float) -> tuple[Float, Float]:
+    def at(self, direction: Direction, angle: float, pace: float, load: float, moving: float) -> tuple[Float, Float]:
         """As LiveEmission.at, of a speed and a force that are not below their floors. moving: 0 … 1."""
         carriers = self._carriers
         linear = None if self._linear is None else self._linear.at(angle, pace, load)
@@ -122,7 +124,7 @@ class PlainEmission:
 
     def _input(
         self,
-        direction: Float,
+        direction: Direction,
         angle: float,
         pace: float,
         load: float,
@@ -138,9 +140,8 @@ class PlainEmission:
         at = DIRECTION_AT + 4
         x[at - 2 : at] = math.log(pace / PACE_M_S), math.log(load)
         if config.action_octaves:
-            encoded = encode_action(
-                direction[None], np.array([pace]), np.array([load]), config.action_octaves, config.directed
-            )
+            told = np.array([direction], dtype=np.float64), np.array([pace]), np.array([load])
+            encoded = encode_action(*told, config.action_octaves, config.directed)
             x[at : at + encoded.shape[1]] = encoded[0]
             at += encoded.shape[1]
         if linear is not None and time_power is not None:
@@ -176,27 +177,25 @@ class PlainEmission:
 
 
 class CompiledEmission:
-    """The same by the kernel: three calls."""
+    """The same by the kernel."""
 
     def __init__(self, field: Field, token: Float, mechanics: Mechanics, probe: str) -> None:
         weights = {name: np.ascontiguousarray(each, dtype=np.float32) for name, each in field.parameters.items()}
         names = [*(f"layer{index}" for index in range(field.config.layers)), "alpha", "sigma"]
-        self._emitter = emitter_of(field.config, weights["skip"].tobytes(), probe, LOG_AMPLITUDE_CEILING)
-        self._layers = Layers(*([weights[f"{name}.{part}"] for name in names] for part in ("weight", "bias")))
-        self._token, self._mass = token, PROBES[probe].mass_kg
+        emitter = emitter_of(field.config, weights["skip"].tobytes(), probe, LOG_AMPLITUDE_CEILING)
+        matrices, biases = ([weights[f"{name}.{part}"] for name in names] for part in ("weight", "bias"))
+        self._state = OneState(emitter, matrices, biases, token, np.array([fixed_inputs(mechanics, probe)]))
         self._linear = LiveLinear(token[0], mechanics, PROBES[probe], field.config.carriers)
-        self._fixed = np.array([fixed_inputs(mechanics, probe)])
-        self._motion, self._touch = np.empty((1, len(MOTION))), np.empty((1, len(TOUCH)))
+        self._mass = PROBES[probe].mass_kg
 
     def at(
-        self, kernel: CDLL, direction: Float, angle: float, pace: float, load: float, moving: float
+        self, kernel: CDLL, direction: Direction, angle: float, pace: float, load: float, moving: float
     ) -> tuple[Float, Float]:
-        """As PlainEmission.at."""
-        self._touch[0], resonance = self._linear.touch(angle, pace, load)
-        self._motion[0] = *direction, pace, load, self._mass, resonance, moving
-        x, expected = inputs(kernel, self._emitter, self._token, self._fixed, self._motion, self._touch)
-        head, sigma = self._layers.of(kernel, x[0])
-        alpha = emitted(kernel, self._emitter, head[None], self._motion, expected)[0]
+        """As PlainEmission.at. α is overwritten by the next call."""
+        touch, resonance = self._linear.touch(angle, pace, load)
+        self._state.touch[0] = touch
+        self._state.motion[0] = *direction, pace, load, self._mass, resonance, moving
+        alpha, sigma = self._state.at(kernel)
         return alpha, np.logaddexp(0.0, sigma.astype(np.float64))
 
 

@@ -58,6 +58,11 @@ class Bins:
     level: NDArray[np.float64]
     size: int
 
+    def part(self, low: int, high: int) -> Bins:
+        """Of bands low … high − 1 alone: drawn apart, their numbers are the same."""
+        first, last = self.starts[[low, high]] - self.starts[0]
+        return Bins(self.starts[low : high + 1], self.level[first:last], self.size)
+
 
 def bins_of(edges: NDArray[np.float64], size: int) -> Bins:
     """edges: (B + 1,) ascending band edges in cycles per period; a bin belongs to the band that holds it, bins outside

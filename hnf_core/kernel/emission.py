@@ -7,7 +7,6 @@ import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,34 +142,58 @@ def emitted(kernel: ctypes.CDLL, emitter: Emitter, head: Float32, motion: Float,
     return alpha
 
 
-class Layers:
-    """A network's weights (outputs, inputs) and biases in their order, the heads of α and of σ last.
+class OneState:
+    """F_Θ of one state after another on one material: what it is worked out in is set up once.
 
-    Raises ValueError where one layer's outputs are not the next one's inputs.
+    weights (outputs, inputs) and biases: the layers in their order, then the heads of α and of σ. token: (1,
+    TOKEN_DIM); fixed: (1, F). motion, touch: (1, …) of the state that at() is about, as of inputs(). Raises ValueError
+    where these do not fit.
     """
 
-    def __init__(self, weights: Sequence[Float32], biases: Sequence[Float32]) -> None:
-        self._kept: list[NDArray[Any]] = [*weights, *biases]
+    def __init__(
+        self, emitter: Emitter, weights: Sequence[Float32], biases: Sequence[Float32], token: Float, fixed: Float
+    ) -> None:
         shapes = [each.shape for each in weights]
         hidden = shapes[-3][0] if len(shapes) > 2 else shapes[0][1]
         chained = all(one[0] == other[1] for one, other in pairwise(shapes[:-2]))
         fits = len(weights) == len(biases) >= 2 and chained and shapes[-1][1] == shapes[-2][1] == hidden
+        fits = fits and shapes[0][1] == emitter.inputs and shapes[-2][0] == emitter.outputs
         if not fits or any(len(bias) != shape[0] for bias, shape in zip(biases, shapes, strict=True)):
-            raise ValueError(f"layers of {shapes}")
-        self._weights, self._biases = (pointers([address(e, np.float32) for e in each]) for each in (weights, biases))
-        self._widths = np.array([shapes[0][1], *(shape[0] for shape in shapes)], dtype=np.int64)
-        self._count, self._scratch = len(weights) - 2, np.empty(2 * int(self._widths[:-2].max()), dtype=np.float32)
-        self._head, self._sigma = (np.empty(shape[0], dtype=np.float32) for shape in shapes[-2:])
-
-    def of(self, kernel: ctypes.CDLL, x: Float32) -> tuple[Float32, Float32]:
-        """What both heads answer to one state's inputs (D,). They are overwritten by the next call."""
-        if x.shape != (self._widths[0],):
-            raise ValueError(f"inputs of {x.shape} where {self._widths[0]} are taken")
-        kernel.hnf_layers(
-            self._weights, self._biases, address(self._widths, np.int64), self._count, address(x, np.float32),
-            address(self._scratch, np.float32), address(self._head, np.float32), address(self._sigma, np.float32),
+            raise ValueError(f"layers of {shapes} for {emitter.inputs} inputs and {emitter.outputs} outputs")
+        self.motion, self.touch = np.ones((1, len(MOTION))), np.ones((1, len(TOUCH)))
+        _check(emitter, 1, token, fixed, self.motion, self.touch)
+        x, expected = np.empty((1, emitter.inputs), dtype=np.float32), Expected.empty(1, emitter)
+        widths = np.array([shapes[0][1], *(shape[0] for shape in shapes)], dtype=np.int64)
+        room, layers_room = (
+            np.empty(max(emitter.room, emitter.emitted_room)),
+            np.empty(2 * int(widths[:-2].max()), "f4"),
+        )
+        head, self._sigma = (np.empty(shape[0], dtype=np.float32) for shape in shapes[-2:])
+        self._alpha, told = np.empty(emitter.carriers), expected.struct(1, emitter)
+        tables, struct = ctypes.byref(emitter.tables.struct), ctypes.byref(emitter.struct)
+        scratch, motion, inputs_at = (address(each, each.dtype) for each in (room, self.motion, x))
+        self._inputs = (
+            tables, struct, address(token, np.float64), token.shape[1], address(fixed, np.float64), motion,
+            address(self.touch, np.float64), 1, scratch, inputs_at, ctypes.byref(told),
         )  # fmt: skip
-        return self._head, self._sigma
+        self._layers = (
+            *(pointers([address(each, np.float32) for each in some]) for some in (weights, biases)),
+            address(widths, np.int64), len(weights) - 2, inputs_at, address(layers_room, np.float32),
+            address(head, np.float32), address(self._sigma, np.float32),
+        )  # fmt: skip
+        self._emitted = (
+            tables, struct, address(head, np.float32), motion, ctypes.byref(told), 1, scratch,
+            address(self._alpha, np.float64),
+        )  # fmt: skip
+        self._kept = (emitter, *weights, *biases, token, fixed, x, expected, told, widths, room, layers_room, head)
+
+    def at(self, kernel: ctypes.CDLL) -> tuple[Float, Float32]:
+        """α (K,) of the state in motion and touch, 0 where nothing moves, and what the σ head answers (N,): both are
+        overwritten by the next call."""
+        kernel.hnf_inputs(*self._inputs)
+        kernel.hnf_layers(*self._layers)
+        kernel.hnf_emitted(*self._emitted)
+        return self._alpha, self._sigma
 
 
 def _check(emitter: Emitter, states: int, tokens: Float, fixed: Float, motion: Float, touch: Float) -> None:

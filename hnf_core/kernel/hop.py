@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+import struct
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -122,35 +123,47 @@ def hop(
     return out
 
 
-def arcs(
-    kernel: ctypes.CDLL, tables: HopTables, amplitude: Float32, octaves: Sequence[int], place: Float,
-    share: Float32, piece: Callable[[int, int], Piece],
-) -> Float32:  # fmt: skip
-    """(n,) Σ_k A_k c_k(s) of octaves at place (n,) [m], between two knots.
-
-    amplitude: (2, octaves · bands) at the knots. share: (n,) of the way from one to the other. piece: as of hop().
-    Raises ValueError where these do not fit, or a place is not finite.
+class ArcReader:
+    """Σ_k A_k c_k(s) of octaves at `count` places between two knots, read again and again: what it is worked out in is
+    set up once. share: (count,) of the way from one knot to the other.
     """
-    least, most = _extent(tables, place)
-    fits = amplitude.shape == (2, tables.octaves * tables.bands) and len(share) == len(place)
-    if not fits or not all(0 <= octave < tables.octaves for octave in octaves):
-        raise ValueError(f"octaves {list(octaves)} of amplitudes {amplitude.shape} at {len(place)} places")
-    readings = np.zeros((len(octaves), _READING), dtype=np.int64)
-    for reading, octave in zip(readings, octaves, strict=True):
-        per_m = tables.cells_per_m[octave]
-        cells = math.floor(least * per_m) - 1, math.floor(most * per_m) + 2
-        reading[:_PIECE] = octave, 0, 0, len(place), *cells
-    table = _gathered(tables, readings, piece)
-    longest = int((readings[:, _LAST_CELL] - readings[:, _FIRST_CELL]).max(initial=0)) + 1
-    scratch, out = np.empty(2 * longest), np.empty(len(place), dtype=np.float32)
-    row = np.zeros(len(place), dtype=np.int64)
-    kernel.hnf_read_arcs(
-        ctypes.byref(tables.struct), *rows(amplitude), pointers([each.address for each in table]),
-        address(readings, np.int64), len(readings), address(place, np.float64),
-        address(row, np.int64), address(share, np.float32), len(place),
-        address(scratch, np.float64), address(out, np.float32),
-    )  # fmt: skip
-    return out
+
+    def __init__(self, tables: HopTables, share: Float32) -> None:
+        self._tables, self._count = tables, len(share)
+        self.amplitude = np.zeros((2, tables.octaves * tables.bands), dtype=np.float32)
+        self._out = np.empty(self._count, dtype=np.float32)
+        row = np.zeros(self._count, dtype=np.int64)
+        self._before = ctypes.byref(tables.struct), *rows(self.amplitude)
+        self._between = address(row, np.int64), address(share, np.float32), self._count
+        self._scratch, self._kept = np.empty(0), (share, row)
+
+    def read(
+        self, kernel: ctypes.CDLL, octaves: Sequence[int], place: Float, piece: Callable[[int, int], Piece]
+    ) -> Float32:
+        """(count,) at place (count,) [m], of the amplitudes (2, octaves · bands) that were put into self.amplitude. The
+        next call overwrites it. piece: as of hop(). Raises ValueError where these do not fit, or a place is not
+        finite."""
+        tables, cells = self._tables, self._tables.piece_cells
+        least, most = _extent(tables, place)
+        if len(place) != self._count or not all(0 <= octave < tables.octaves for octave in octaves):
+            raise ValueError(f"octaves {list(octaves)} at {len(place)} places")
+        readings, pieces, longest = list[int](), list[int](), 0
+        for octave in octaves:
+            per_m = tables.cells_per_m[octave]
+            first, last = math.floor(least * per_m) - 1, math.floor(most * per_m) + 2
+            begin = first // cells
+            readings += (octave, 0, 0, self._count, first, last, len(pieces), begin * cells)
+            for number in range(begin, last // cells + 1):
+                pieces.append(_checked(tables, piece(octave, number)).address)
+            longest = max(longest, last - first + 1)
+        if len(self._scratch) < 2 * longest:
+            self._scratch = np.empty(2 * longest)
+        kernel.hnf_read_arcs(
+            *self._before, pointers(pieces), struct.pack(f"{len(readings)}q", *readings), len(octaves),
+            address(place, np.float64), *self._between, address(self._scratch, np.float64),
+            address(self._out, np.float32),
+        )  # fmt: skip
+        return self._out
 
 
 def _extent(tables: HopTables, place: Float) -> tuple[float, float]:
@@ -178,11 +191,15 @@ def _gathered(tables: HopTables, readings: Integers, piece: Callable[[int, int],
     for reading, (octave, first, last) in enumerate(readings[:, [0, _FIRST_CELL, _LAST_CELL]].tolist()):
         readings[reading, _PIECE:] = len(table), first // cells * cells
         for number in range(first // cells, last // cells + 1):
-            found = piece(octave, number)
-            if found.waves.shape != (tables.bands, cells):
-                raise ValueError(f"a piece of {found.waves.shape} where {tables.bands} bands of {cells} cells are read")
-            table.append(found)
+            table.append(_checked(tables, piece(octave, number)))
     return table
+
+
+def _checked(tables: HopTables, piece: Piece) -> Piece:
+    if piece.waves.shape != (tables.bands, tables.piece_cells):
+        wanted = f"{tables.bands} bands of {tables.piece_cells} cells"
+        raise ValueError(f"a piece of {piece.waves.shape} where {wanted} are read")
+    return piece
 
 
 def _waves(tables: HopTables, waves: Sequence[Float32]) -> bytes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,7 @@ def real_waves(
     the widest band. turns: cosine and sine (bands, size / 2 + 1) of each band's first bin.
     """
     size = out.shape[1]
-    _check(size, slow, turns, window, len(which), bins, starts)
+    _check(out, slow, turns, window, len(which), bins, starts)
     kernel.hnf_real_waves(
         address(bins, np.complex128), address(starts, np.int64), address(which, np.int64), len(which), len(slow) // 2,
         size, address(slow, np.float32), *(address(turn, np.float32) for turn in turns), address(window, np.float32),
@@ -49,24 +50,26 @@ def real_waves(
 
 
 def complex_waves(
-    kernel: ctypes.CDLL, bins: Complex, starts: Starts, slow: Float32, turns: tuple[Float32, Float32], window: Float32
-) -> NDArray[np.complex64]:
-    """(B, size) Σ_k X_k e^{2πi(k − middle)n/size}, complex; the turns are those of each first bin less the middle."""
-    bands, size = len(turns[0]), len(window)
-    _check(size, slow, turns, window, len(starts) - 1, bins, starts)
-    out = np.empty((bands, size), dtype=np.complex64)
+    kernel: ctypes.CDLL, bins: Complex, starts: Starts, slow: Float32, turns: tuple[Float32, Float32], window: Float32,
+    out: NDArray[np.complex64],
+) -> None:  # fmt: skip
+    """out (B, size): Σ_k X_k e^{2πi(k − middle)n/size}, complex; the turns are those of each first bin less the
+    middle."""
+    bands, size = out.shape
+    _check(out, slow, turns, window, bands, bins, starts)
     kernel.hnf_complex_waves(
         address(bins, np.complex128), address(starts, np.int64), bands, len(slow) // 2, size,
         address(slow, np.float32), *(address(turn, np.float32) for turn in turns), address(window, np.float32),
         address(out, np.complex64),
     )  # fmt: skip
-    return out
 
 
 def _check(
-    size: int, slow: Float32, turns: tuple[Float32, Float32], window: Float32, bands: int, bins: Complex, starts: Starts
-) -> None:
+    out: NDArray[Any], slow: Float32, turns: tuple[Float32, Float32], window: Float32, bands: int, bins: Complex,
+    starts: Starts,
+) -> None:  # fmt: skip
+    rows, size = out.shape
     half = size // 2 + 1
     tables = size % TILE == 0 and slow.shape[1] == half and all(turn.shape == (bands, half) for turn in turns)
-    if not tables or len(window) != size or len(bins) != starts[-1] - starts[0]:
-        raise ValueError(f"{len(bins)} bins as waves of {size} samples, from tables of {slow.shape[1]}")
+    if not tables or len(window) != size or rows != len(starts) - 1 or len(bins) != starts[-1] - starts[0]:
+        raise ValueError(f"{len(bins)} bins as waves of {rows} × {size} samples, from tables of {slow.shape[1]}")

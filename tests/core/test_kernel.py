@@ -209,7 +209,12 @@ def test_what_it_would_misread_never_reaches_it():
         **dict.fromkeys(("per_octave", "concentration", "bump_mean", "least_left", "hand", "hand_damping"), 1.0),
     }  # fmt: skip
     tables, touch = Tables(**given), np.ones((2, len(TOUCH)))
-    for wrong in ({"below": np.full(9, 2)}, {"nearest_end": np.full(3, 10)}, {"shift": -np.ones(4, int)}, {"share": one}):
+    for wrong in (
+        {"below": np.full(9, 2)},
+        {"nearest_end": np.full(3, 10)},
+        {"shift": -np.ones(4, int)},
+        {"share": one},
+    ):
         with pytest.raises(ValueError, match="tables"):
             Tables(**given | wrong)
     for tokens, states in ((np.ones((2, 20)), touch), (np.ones((3, 21)), touch), (np.ones((2, 21)), touch[:, :8])):

@@ -23,8 +23,8 @@ from live_strokes import (
 from hnf_core.errors import StrokeError, UsageError
 from hnf_core.field.field import Field, FieldConfig, initial_parameters
 from hnf_core.field.live import DELAY_STATES, LiveSynthesis
-from hnf_core.field.live_arc import KEPT_HOPS
 from hnf_core.field.live_noise import KEPT_BLOCKS
+from hnf_core.field.live_octave import KEPT_HOPS
 from hnf_core.field.live_state import LiveState
 from hnf_core.field.stroke import LIMITS, StrokeInput
 from hnf_core.field.synthesis import synthesise

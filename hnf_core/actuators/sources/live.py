@@ -131,6 +131,12 @@ class Live:
         self._note()
         return joined[:frames, None]
 
+    def prepare(self) -> None:
+        """See Preparing."""
+        with self._lock:
+            synthesis = self._synthesis
+        synthesis.prepare()
+
     def _tell(self, event: HandEvent) -> None:
         now = event.time_s if self._clock is None else self._clock()
         with self._lock:
