@@ -76,9 +76,9 @@ class Limiter:
         if not finite.all():
             self.nonfinite += int(given.size - np.count_nonzero(finite))
             given = np.where(finite, given, 0.0)
-        with np.errstate(over="ignore"):
-            level = given / self._law.full_scale_m_s2
-        np.minimum(np.maximum(level, -2.0, out=level), 2.0, out=level)
+        most = 2.0 * self._law.full_scale_m_s2
+        level = np.minimum(np.maximum(given, -most), most)
+        level /= self._law.full_scale_m_s2
         level *= COUNTS
         return self._limited(level)
 

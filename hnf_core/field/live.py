@@ -96,11 +96,14 @@ class LiveSynthesis:
         self._pressing = LivePressing(mechanics, probe)
         self._kappa = self._carriers.arc_centres()
         self._lowest = self._kappa[::ARC_PER_OCTAVE].tolist()
-        memory = field.config.stride * (field.config.states - 1) + 1
-        self._past = np.zeros((memory, self._carriers.count)), np.zeros((memory, field.config.states))
-        self._states = 0
+        states, stride = field.config.states, field.config.stride
+        # Of the states that are remembered, the newest first.
+        self._emitted = np.zeros((stride * (states - 1) + 1, self._carriers.count))
+        self._density = np.zeros((len(self._emitted), states))
+        self._remembers = False
+        self._pair = np.zeros((2, self._carriers.count), dtype=np.float32)
         self._places: deque[float] = deque(maxlen=4)
-        self._amplitude, self._audible, self._air = np.zeros(self._carriers.count), 0.0, 0
+        self._audible, self._air = 0.0, 0
         self._sample, self._prepared = -SAMPLES_PER_STATE, True
 
     @property
@@ -141,37 +144,37 @@ class LiveSynthesis:
         self._noise.prepare(self._sample, spare=not busy)
 
     def _felt(self, state: LiveState) -> Float:
-        before, travel = self._amplitude, max(abs(new - old) for old, new in pairwise(self._places))
-        self._amplitude = self._accumulated(state)
-        self._amplitude[self._carriers.arc_slice] *= self._kappa * (travel * ACTION_RATE_HZ) < BAND_END_HZ
+        travel = max(abs(new - old) for old, new in pairwise(self._places))
+        amplitude = self._accumulated(state)
+        amplitude[self._carriers.arc_slice] *= self._kappa * (travel * ACTION_RATE_HZ) < BAND_END_HZ
+        self._pair[0] = self._pair[1]
+        self._pair[1] = amplitude
         fade = self._fade(state.contact)
         pressing = self._pressing.step(state.force if state.contact else 0.0, state.material)
-        out = self._texture(before, self._amplitude, travel) + pressing
+        out = self._texture(travel) + pressing
         return out if fade is None else fade * out
 
     def _silent(self) -> Float:
         """In the air for so long that nothing is heard or remembered: the next touch begins anew."""
-        self._amplitude, self._states = np.zeros(self._carriers.count), 0
-        self._past[0][:] = 0.0
+        self._remembers = False
+        self._emitted[:] = self._pair[1] = 0.0
         return np.zeros(SAMPLES_PER_STATE)
 
     def _accumulated(self, state: LiveState) -> Float:
         """(K,) Σ_n w_n α of the past states; as field.accumulate."""
-        emission, (emitted, density) = self._emission[state.material], self._past
-        alpha, sigma = emission.at(state.direction, state.speed, state.force, state.contact)
-        if self._states == 0:
+        emitted, density, stride = self._emitted, self._density, self._config.stride
+        alpha, sigma = self._emission[state.material].at(state.direction, state.speed, state.force, state.contact)
+        if not self._remembers:
             density[:] = sigma  # before the first state nothing was emitted, as densely as then
-        row = self._states % len(emitted)
-        emitted[row], density[row] = alpha, sigma
-        self._states += 1
-        out, passed = np.zeros(self._carriers.count), 0.0
+        self._remembers = True
+        emitted[1:], density[1:] = emitted[:-1], density[:-1]
+        emitted[0], density[0] = alpha, sigma
         # rendering.render_weights: sums in pairs no handful of states needs, nor arrays.
-        for n in range(self._config.states):
-            past = row - self._config.stride * n  # from the end where it is below 0
-            own = float(density[past, n])
-            out += math.exp(-passed) * -math.expm1(-own) * emitted[past]
+        weights, passed = list[float](), 0.0
+        for own in density[::stride].diagonal().tolist():
+            weights.append(math.exp(-passed) * -math.expm1(-own))
             passed += own
-        return out
+        return np.asarray(weights @ emitted[::stride])
 
     def _fade(self, contact: bool) -> Float | None:
         """(SAMPLES_PER_STATE,) of this stretch; None for all of it."""
@@ -186,9 +189,8 @@ class LiveSynthesis:
             return None
         return np.asarray(np.sin(0.5 * np.pi * (before + (self._audible - before) * _SHARE)) ** 2)
 
-    def _texture(self, before: Float, now: Float, travel: float) -> Float:
-        carriers, pair = self._carriers, np.array([before, now], dtype=np.float32)
-        out = np.zeros(SAMPLES_PER_STATE)
+    def _texture(self, travel: float) -> Float:
+        carriers, pair, out = self._carriers, self._pair, np.zeros(SAMPLES_PER_STATE)
         if not pair.any():
             return out
         mixed = self._noise.mixed(pair[:, carriers.time_slice], self._sample, SAMPLES_PER_STATE)

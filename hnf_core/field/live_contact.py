@@ -23,8 +23,10 @@ from .timeline import SAMPLES_PER_STATE
 
 Float = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
-Blend = tuple[tuple[float, Mechanics, int], ...]
-"""Shares of responses: of what, at which load level."""
+Load = tuple[int, int]
+"""A material by its place, and the level of the load on it."""
+Blend = tuple[tuple[Load, float], ...]
+"""Shares of the responses."""
 
 _GRID = 8192
 _FLOOR, _FINE = 1e-3, 8
@@ -47,9 +49,10 @@ class LivePressing:
     def __init__(self, mechanics: Sequence[Mechanics], probe: str) -> None:
         self._mechanics, self._probe = tuple(mechanics), PROBES[probe]
         levels = range(LIGHTEST_OCTAVE * LOADS_PER_OCTAVE, HEAVIEST_OCTAVE * LOADS_PER_OCTAVE + 1)
-        for each in dict.fromkeys(self._mechanics):
+        self._tables: dict[Load, Float] = {}
+        for material in range(len(self._mechanics)):
             for level in levels:
-                _given_later(each, self._probe, level)
+                self._given((material, level))
         self._states = np.zeros(STATES)
         self.forget()
 
@@ -67,24 +70,27 @@ class LivePressing:
         self._blends = now, self._blend(force, material)
         if not now or states.min() == states.max():
             return np.zeros(SAMPLES_PER_STATE)
-        rendered = self._rendered(now)
-        if not before or before == now:
-            return rendered
-        return np.asarray(self._rendered(before) * (1.0 - _SHARE) + rendered * _SHARE)
+        fades: dict[Load, Float] = {}
+        for blend, fade in ((before or now, 1.0 - _SHARE), (now, _SHARE)):
+            for load, share in blend:
+                fades[load] = fades.get(load, 0.0) + share * fade
+        out = np.zeros(SAMPLES_PER_STATE)
+        for load, fade in fades.items():
+            out += fade * (states @ self._given(load))
+        return out
+
+    def _given(self, load: Load) -> Float:
+        if load not in self._tables:
+            self._tables[load] = _given_later(self._mechanics[load[0]], self._probe, load[1])
+        return self._tables[load]
 
     def _blend(self, force: float, material: int) -> Blend:
         """The two responses next to this load."""
         place = LOADS_PER_OCTAVE * math.log2(max(force, 2.0**LIGHTEST_OCTAVE))
-        level, mechanics = math.floor(place), self._mechanics[material]
+        level = math.floor(place)
         share = place - level
-        upper = ((share, mechanics, level + 1),) if share > 0.0 else ()
-        return ((1.0 - share, mechanics, level), *upper)
-
-    def _rendered(self, blend: Blend) -> Float:
-        out = np.zeros(SAMPLES_PER_STATE)
-        for share, mechanics, level in blend:
-            out += share * (self._states @ _given_later(mechanics, self._probe, level))
-        return out
+        upper = (((material, level + 1), share),) if share > 0.0 else ()
+        return (((material, level), 1.0 - share), *upper)
 
 
 @lru_cache(maxsize=KEPT_RESPONSES)

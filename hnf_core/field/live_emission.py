@@ -193,10 +193,9 @@ class CompiledEmission:
     ) -> tuple[Float, Float]:
         """As PlainEmission.at. α is overwritten by the next call."""
         touch, resonance = self._linear.touch(angle, pace, load)
-        self._state.touch[0] = touch
-        self._state.motion[0] = *direction, pace, load, self._mass, resonance, moving
-        alpha, sigma = self._state.at(kernel)
-        return alpha, np.logaddexp(0.0, sigma.astype(np.float64))
+        motion = (*direction, pace, load, self._mass, resonance, moving)
+        alpha, sigma = self._state.at(kernel, motion, touch)
+        return alpha, np.logaddexp(0.0, sigma, dtype=np.float64)
 
 
 def _transposed(field: Field, name: str) -> tuple[Single, Single]:

@@ -71,10 +71,12 @@ class LiveHand:
                 self._events.pop()
         self._events.append(event)
 
-    def state(self, time_s: float) -> LiveState:
-        """The state at time_s, STATE_S after the one before."""
+    def state(self, time_s: float, from_m: float = 0.0, materials: int | None = None) -> LiveState:
+        """The state at time_s, STATE_S after the one before. from_m: where its position is 0. materials: how many there
+        are; one beyond is the last."""
+        material = self._material if materials is None else min(self._material, materials - 1)
         if not self._events:
-            return LiveState(self._direction, 0.0, self._place, 0.0, False, self._material)
+            return LiveState(self._direction, 0.0, self._place - from_m, 0.0, False, material)
         self._velocities.append(self._velocity(time_s))
         self._forces.append(self._events[-1].force_n)
         across, along = (sum(axis) / len(self._velocities) for axis in zip(*self._velocities, strict=True))
@@ -83,7 +85,7 @@ class LiveHand:
             self._direction = across / speed, along / speed
         self._place += speed * STATE_S
         force = sum(self._forces) / len(self._forces)
-        return LiveState(self._direction, speed, self._place, force, True, self._material)
+        return LiveState(self._direction, speed, self._place - from_m, force, True, material)
 
     def _velocity(self, time_s: float) -> tuple[float, float]:
         end = max(self._events[-1].time_s, time_s - self._gap())

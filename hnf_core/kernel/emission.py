@@ -4,6 +4,7 @@ in field/features.py and _in_numpy in field/field.py)."""
 from __future__ import annotations
 
 import ctypes
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -142,12 +143,14 @@ def emitted(kernel: ctypes.CDLL, emitter: Emitter, head: Float32, motion: Float,
     return alpha
 
 
+_MOTION, _TOUCH = (struct.Struct(f"{len(names)}d") for names in (MOTION, TOUCH))
+
+
 class OneState:
     """F_Θ of one state after another on one material: what it is worked out in is set up once.
 
     weights (outputs, inputs) and biases: the layers in their order, then the heads of α and of σ. token: (1,
-    TOKEN_DIM); fixed: (1, F). motion, touch: (1, …) of the state that at() is about, as of inputs(). Raises ValueError
-    where these do not fit.
+    TOKEN_DIM); fixed: (1, F). Raises ValueError where these do not fit.
     """
 
     def __init__(
@@ -160,8 +163,8 @@ class OneState:
         fits = fits and shapes[0][1] == emitter.inputs and shapes[-2][0] == emitter.outputs
         if not fits or any(len(bias) != shape[0] for bias, shape in zip(biases, shapes, strict=True)):
             raise ValueError(f"layers of {shapes} for {emitter.inputs} inputs and {emitter.outputs} outputs")
-        self.motion, self.touch = np.ones((1, len(MOTION))), np.ones((1, len(TOUCH)))
-        _check(emitter, 1, token, fixed, self.motion, self.touch)
+        self._motion, self._touch = np.ones((1, len(MOTION))), np.ones((1, len(TOUCH)))
+        _check(emitter, 1, token, fixed, self._motion, self._touch)
         x, expected = np.empty((1, emitter.inputs), dtype=np.float32), Expected.empty(1, emitter)
         widths = np.array([shapes[0][1], *(shape[0] for shape in shapes)], dtype=np.int64)
         room, layers_room = (
@@ -170,11 +173,11 @@ class OneState:
         )
         head, self._sigma = (np.empty(shape[0], dtype=np.float32) for shape in shapes[-2:])
         self._alpha, told = np.empty(emitter.carriers), expected.struct(1, emitter)
-        tables, struct = ctypes.byref(emitter.tables.struct), ctypes.byref(emitter.struct)
-        scratch, motion, inputs_at = (address(each, each.dtype) for each in (room, self.motion, x))
+        tables, own = ctypes.byref(emitter.tables.struct), ctypes.byref(emitter.struct)
+        scratch, motion, inputs_at = (address(each, each.dtype) for each in (room, self._motion, x))
         self._inputs = (
-            tables, struct, address(token, np.float64), token.shape[1], address(fixed, np.float64), motion,
-            address(self.touch, np.float64), 1, scratch, inputs_at, ctypes.byref(told),
+            tables, own, address(token, np.float64), token.shape[1], address(fixed, np.float64), motion,
+            address(self._touch, np.float64), 1, scratch, inputs_at, ctypes.byref(told),
         )  # fmt: skip
         self._layers = (
             *(pointers([address(each, np.float32) for each in some]) for some in (weights, biases)),
@@ -182,14 +185,16 @@ class OneState:
             address(head, np.float32), address(self._sigma, np.float32),
         )  # fmt: skip
         self._emitted = (
-            tables, struct, address(head, np.float32), motion, ctypes.byref(told), 1, scratch,
+            tables, own, address(head, np.float32), motion, ctypes.byref(told), 1, scratch,
             address(self._alpha, np.float64),
         )  # fmt: skip
         self._kept = (emitter, *weights, *biases, token, fixed, x, expected, told, widths, room, layers_room, head)
 
-    def at(self, kernel: ctypes.CDLL) -> tuple[Float, Float32]:
-        """α (K,) of the state in motion and touch, 0 where nothing moves, and what the σ head answers (N,): both are
-        overwritten by the next call."""
+    def at(self, kernel: ctypes.CDLL, motion: Sequence[float], touch: Sequence[float]) -> tuple[Float, Float32]:
+        """α (K,) of a state, 0 where nothing moves, and what the σ head answers (N,): both are overwritten by the next
+        call. motion, touch: numbers in the order of MOTION and TOUCH."""
+        _MOTION.pack_into(self._motion.data, 0, *motion)
+        _TOUCH.pack_into(self._touch.data, 0, *touch)
         kernel.hnf_inputs(*self._inputs)
         kernel.hnf_layers(*self._layers)
         kernel.hnf_emitted(*self._emitted)

@@ -160,11 +160,9 @@ class Live:
                 moved_s, event = self._waiting.popleft()
                 self._hand.take(event)
                 self._unheard.append(Heard(moved_s, self._made))
-            synthesis, leaving, state = self._synthesis, tuple(self._leaving), self._hand.state(time_s)
+            synthesis, leaving = self._synthesis, tuple(self._leaving)
             # Each synthesis begins at s = 0, where its noise lies ready.
-            material = min(state.material, synthesis.materials - 1)
-            state = replace(state, position=state.position - self._from_m, material=material)
-            self._state = state
+            self._state = state = self._hand.state(time_s, self._from_m, synthesis.materials)
         out = synthesis.step(state)
         for old in leaving:
             out = out + next(old, 0.0)
