@@ -32,7 +32,7 @@ from hnf_core.kernel import hop as kernel_hop
 from hnf_core.kernel import library
 from hnf_core.kernel.contact import FEATURES, TOUCH, Tables, add_rows
 from hnf_core.kernel.contact import linear_contact as compiled_contact
-from hnf_core.kernel.hop import HopTables, Piece
+from hnf_core.kernel.hop import ArcReader, HopTables, Piece
 from hnf_core.kernel.library import kernel, plainly, why_not
 from hnf_core.kernel.noise import bins as compiled_bins
 from hnf_core.kernel.noise import real_waves as compiled_waves
@@ -173,14 +173,13 @@ class Refuses:
 
 def test_what_it_would_misread_never_reaches_it():
     none, tables, share = Refuses(), texture.hop_tables(CARRIERS), np.zeros(8, np.float32)
-    pair, place = np.ones((2, CARRIERS.arc_count), np.float32), np.full(8, 0.03)
+    place = np.full(8, 0.03)
     kept = Piece.of(arc_hop(CARRIERS, 1, 0, 0))
 
-    def read(pair=pair, octaves=(0, 3), place=place, share=share, piece=lambda *_: kept):
-        return kernel_hop.arcs(none, tables, pair, octaves, place, share, piece)
+    def read(octaves=(0, 3), place=place, share=share, piece=lambda *_: kept):
+        return ArcReader(tables, share).read(none, octaves, place, piece)
 
     for wrong, error in (
-        ({"pair": pair[:1]}, ValueError), ({"pair": pair[:, 1:]}, ValueError), ({"pair": pair * 1.5j}, TypeError),
         ({"octaves": (8,)}, ValueError), ({"octaves": (-1,)}, ValueError), ({"share": share[1:]}, ValueError),
         ({"place": np.where(np.arange(8) == 3, np.inf, place)}, ValueError), ({"place": place * np.nan}, ValueError),
         ({"place": place - 1e14}, ValueError),

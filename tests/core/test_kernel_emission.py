@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -15,11 +15,11 @@ from hnf_core.field.carriers import Carriers
 from hnf_core.field.emitter import emitter_of, fits
 from hnf_core.field.field import Field, FieldConfig, evaluate, initial_parameters
 from hnf_core.field.linear_contact import Condition
-from hnf_core.field.network import heads
+from hnf_core.field.live_emission import LiveEmission
 from hnf_core.field.weights import load_field
 from hnf_core.kernel import emission
 from hnf_core.kernel.contact import TOUCH
-from hnf_core.kernel.emission import MOTION, Expected, Layers
+from hnf_core.kernel.emission import MOTION, Expected, OneState
 from hnf_core.kernel.library import kernel, plainly, why_not
 from hnf_core.material.library import find, load_library
 from hnf_core.material.mechanics import Mechanics
@@ -91,21 +91,23 @@ def test_a_form_that_the_kernel_does_not_know_is_evaluated_by_numpy():
 
 
 @needs_kernel
-@given(st.integers(0, 10**6), st.lists(st.integers(1, 70), min_size=3, max_size=6))
-def test_one_state_through_the_layers_is_the_product_of_matrices(seed, widths):
-    rng, compiled = np.random.default_rng(seed), kernel()
-    shapes = [(rows, columns) for columns, rows in pairwise(widths[:-1])]
-    names = [f"layer{index}" for index in range(len(shapes))]
-    shapes += [(widths[-1], shapes[-1][0] if shapes else widths[0]), (3, shapes[-1][0] if shapes else widths[0])]
-    parameters = {}
-    for name, shape in zip([*names, "alpha", "sigma"], shapes, strict=True):
-        parameters[f"{name}.weight"] = rng.standard_normal(shape).astype(np.float32)
-        parameters[f"{name}.bias"] = rng.standard_normal(shape[0]).astype(np.float32)
-    x = rng.standard_normal(widths[0]).astype(np.float32)
-    layers = Layers([parameters[f"{n}.weight"] for n in [*names, "alpha", "sigma"]],
-                    [parameters[f"{n}.bias"] for n in [*names, "alpha", "sigma"]])  # fmt: skip
-    for found, wanted in zip(layers.of(compiled, x), heads(parameters, len(names), x[None]), strict=True):
-        np.testing.assert_allclose(found, wanted[0], rtol=1e-4, atol=1e-4 * np.abs(wanted).max())
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 70), st.integers(1, 4), st.sampled_from(sorted(PROBES)))
+def test_one_state_after_another_is_all_of_them_at_once(seed, hidden, layers, probe):
+    """Whatever the widths, and whatever the state before has left."""
+    config = replace(SHARED.config, hidden=hidden, layers=layers)
+    rng, parameters = np.random.default_rng(seed), initial_parameters(config, seed)
+    for name in ("alpha.weight", "alpha.bias", "sigma.weight"):
+        parameters[name] = (0.3 * rng.standard_normal(parameters[name].shape)).astype(np.float32)
+    field, told = Field(config, parameters), states(seed, 6, probe)
+    told = replace(told, tokens=told.tokens[:1].repeat(6, axis=0), material=np.zeros(6, np.int32))
+    one = LiveEmission(field, told.tokens[0], told.mechanics[0], probe)
+    wanted = evaluate(field, told)
+    for row in range(6):
+        asked = told.direction[row], float(told.speed[row]), float(told.force[row]), bool(told.contact[row])
+        alpha, sigma = one.at(*asked)
+        np.testing.assert_allclose(alpha, wanted.alpha[row, 0], rtol=2e-4, atol=1e-6 * wanted.alpha.max())
+        np.testing.assert_allclose(sigma, wanted.sigma_dt[row], rtol=2e-4, atol=1e-6)
 
 
 class Refuses:
@@ -140,15 +142,20 @@ def test_what_the_kernel_would_misread_never_reaches_it():
         assert emitter_of(fewer, skip, "pen", 6.0).outputs == fewer.alpha_outputs
     with pytest.raises(ValueError, match="carriers"):
         emitter_of(config, skip[4:], "pen", 6.0)
-    weights = [np.ones((3, 2), np.float32), np.ones((4, 3), np.float32), np.ones((5, 3), np.float32)]
-    biases = [np.ones(3, np.float32), np.ones(4, np.float32), np.ones(5, np.float32)]
-    with pytest.raises(ValueError, match="inputs"):
-        Layers(weights, biases).of(none, np.ones(3, np.float32))
-    for wrong in ((weights[::-1], biases), (weights, biases[::-1]), (weights[1:], biases)):
-        with pytest.raises(ValueError, match="layers"):
-            Layers(*wrong)
+    shapes = (3, emitter.inputs), (emitter.outputs, 3), (5, 3)
+    weights, biases = ([np.ones(each, np.float32) for each in some] for some in (shapes, [s[0] for s in shapes]))
+    state = emitter, weights, biases, tokens[:1], fixed[:1]
+    OneState(*state)
+    for at, wrong in (
+        (1, weights[::-1]), (2, biases[::-1]), (1, weights[1:]), (3, tokens[:1, 1:]), (4, fixed),
+        (1, [np.ones((3, 2), np.float32), *weights[1:]]), (1, [weights[0], np.ones((4, 3), np.float32), weights[2]]),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=r"layers|tokens"):
+            OneState(*state[:at], wrong, *state[at + 1 :])
     with pytest.raises(TypeError, match="float32"):
-        Layers([each.astype(float) for each in weights], biases)
+        OneState(emitter, [each.astype(float) for each in weights], *state[2:])
+    with pytest.raises(struct.error):
+        OneState(*state).at(none, np.ones(len(MOTION) - 1), np.ones(len(TOUCH)))
 
 
 def test_a_table_answers_what_the_network_does():

@@ -154,6 +154,17 @@ def test_memory_does_not_grow_and_noise_is_there_in_time():
     assert synthesis.made_at_once == 0  # and no step had to wait for a block
 
 
+def test_who_has_time_between_states_gets_the_same_bytes():
+    stroke = on(hand(0.3, 1.0, seconds=0.5), "denim")
+    waiting, ahead, found = live_of(stroke), live_of(stroke), []
+    for index, state in enumerate(states(stroke)):
+        wanted = waiting.step(state)
+        found.append(np.array_equal(ahead.step(state), wanted))
+        for _ in range(index % 3):  # not at all, once, twice
+            ahead.prepare()
+    assert all(found)
+
+
 def small_field() -> Field:
     config = FieldConfig(hidden=8, layers=2)
     return Field(config, initial_parameters(config, 0))

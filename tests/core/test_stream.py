@@ -47,6 +47,21 @@ class Failing:
         return np.full((frames, 1), 10.0, np.float32)
 
 
+class Ahead:
+    """Says in which order it was asked."""
+
+    def __init__(self, blocks: int) -> None:
+        self.rate_hz, self.channels, self.asked = 10000.0, 1, list[str]()
+        self._blocks = blocks
+
+    def read(self, frames: int) -> Samples:
+        self.asked.append("read")
+        return np.zeros((frames if self.asked.count("read") < self._blocks else 0, 1), np.float32)
+
+    def prepare(self) -> None:
+        self.asked.append("prepare")
+
+
 def comes(condition: Callable[[], bool]) -> bool:
     """Whether it becomes true; a minute is for a machine that is very busy."""
     until = time.monotonic() + 60.0
@@ -351,3 +366,12 @@ def test_a_stream_of_nothing_ahead_is_refused() -> None:
     for words in ({"block_s": 0.0}, {"block_s": 5.0}, {"ahead_blocks": 0}, {"block_s": float("nan")}):
         with pytest.raises(UsageError, match="cannot be made"):
             Stream(Recorded(noise(0.1), 10000.0), ClockSink(), LIMITS, **words)  # type: ignore[arg-type]
+
+
+def test_a_source_prepares_its_next_block_when_the_last_one_is_on_its_way() -> None:
+    source = Ahead(4)
+    with Stream(source, ClockSink(), LIMITS) as stream:
+        stream.start()
+        assert stream.wait(LONG_S)
+    assert source.asked == ["read", "prepare"] * 3 + ["read"]
+    assert stream.prepared.count == stream.compute.count == 4
