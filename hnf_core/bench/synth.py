@@ -21,7 +21,7 @@ from ..field.field import Field
 from ..field.plain import plain_texture
 from ..field.reference import synthesise_reference
 from ..field.stroke import StrokeInput, uniform_stroke
-from ..field.synthesis import contact_term, prepare, rendered
+from ..field.synthesis import contact_term, prepare, synthesised
 from ..field.timeline import sample_count
 from ..field.weights import load_field
 from ..kernel.library import kernel, plainly
@@ -129,17 +129,17 @@ def _methods(field: Field, stroke: StrokeInput) -> list[Method]:
 
     def within(tolerance_db: float | None, field: Field, stroke: StrokeInput, seed: int) -> Float:
         tolerance = None if tolerance_db is None else 10.0 ** (tolerance_db / 20.0)
-        return rendered(prepare(field, stroke, seed=seed, tolerance=tolerance))
+        return synthesised(field, stroke, seed, tolerance)[1]
 
     material = stroke.tokens[0], stroke.mechanics[0], stroke.action.probe
     table = tabulate(field, *material, Grid() if len(stroke.action.speed) > 1000 else Grid(4, 1, 1))
 
     def tabled(field: Field, stroke: StrokeInput, seed: int) -> Float:
         read = partial(from_table, table)
-        return rendered(prepare(field, stroke, seed=seed, tolerance=TABLE_TOLERANCE, emission=read))
+        return synthesised(field, stroke, seed, TABLE_TOLERANCE, read)[1]
 
     def narrow(field: Field, stroke: StrokeInput, seed: int) -> Float:
-        return in_bfloat16(lambda: rendered(prepare(field, stroke, seed=seed)))
+        return in_bfloat16(lambda: synthesised(field, stroke, seed)[1])
 
     bfloat16 = Method("every state, bfloat16", narrow, note="F_Θ's layers, by torch; the rest as it is")
 

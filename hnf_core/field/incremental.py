@@ -7,6 +7,7 @@ portions, and a portion is kept only where everything it is made from is unchang
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,9 +18,10 @@ from ..blas import one_blas_thread
 from .contact_filter import LEAD, TAIL
 from .field import Field
 from .modulation import states_read
+from .noise_ahead import noise_ahead
 from .stroke import StrokeInput, Synthesis
 from .synthesis import Prepared, blocks_of, described, prepare, render_block
-from .timeline import SAMPLES_PER_STATE
+from .timeline import SAMPLES_PER_STATE, states_of
 
 Float = NDArray[np.float64]
 
@@ -57,7 +59,9 @@ def render(
     superseded: asked between blocks. Raises Superseded when it says yes, and what synthesise() raises.
     """
     start = earlier if earlier is not None and same_path(earlier, field, stroke, seed) else None
-    prepared = prepare(field, stroke, seed=seed, earlier=None if start is None else start.prepared)
+    # What is made from earlier has its carriers, and takes few of them anew.
+    with nullcontext() if start is not None else noise_ahead(field.config.carriers, seed, states_of(stroke)[0]):
+        prepared = prepare(field, stroke, seed=seed, earlier=None if start is None else start.prepared)
     samples = np.empty(prepared.count) if start is None else start.samples.copy()
     blocks = blocks_of(prepared.count)
     if start is not None:

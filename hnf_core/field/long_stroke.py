@@ -21,6 +21,7 @@ from ..errors import UsageError
 from .contact_filter import LEAD, TAIL
 from .field import Field
 from .hops import HOP
+from .noise_ahead import noise_ahead
 from .stroke import StrokeInput
 from .synthesis import (
     AFTER_CONTACT_S,
@@ -75,7 +76,8 @@ def portions(
         rows = _rows(field, start, stop, len(action.speed))
         origin = rows.start * SAMPLES_PER_STATE
         piece = StrokeInput(_states(action, rows), stroke.tokens, stroke.mechanics, token_index[rows])
-        prepared = replace(prepare(field, piece, seed=seed), origin=origin)
+        with noise_ahead(field.config.carriers, seed, piece.action, origin):
+            prepared = replace(prepare(field, piece, seed=seed), origin=origin)
         with one_blas_thread():
             blocks = [
                 render_block(prepared, first - origin, min(BLOCK, stop - first)) for first in range(start, stop, BLOCK)

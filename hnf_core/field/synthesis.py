@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..action.action import ACTION_RATE_HZ, Action
+from ..action.action import Action
 from ..blas import one_blas_thread
 from ..material.contact import tip_response
 from ..material.probe import PROBES
@@ -26,6 +26,7 @@ from .hops import HOP
 from .knots import Knots
 from .linear_contact import BAND_END_HZ, FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition, upper_fade
 from .modulation import arc_term
+from .noise_ahead import noise_ahead
 from .plain import plain_texture, position, position_beyond
 from .profile import ProfileBands, share_power, split_profile
 from .resampling import resample
@@ -35,6 +36,7 @@ from .timeline import (
     SAMPLES_PER_STATE,
     action_at,
     condition_of,
+    fastest,
     sample_count,
     states_in,
     states_of,
@@ -97,8 +99,7 @@ def synthesise(
     tolerance: see prepare(). Raises StrokeError for an action without duration, UsageError for a sample rate that is
     not positive. What lies outside the field's training ranges is synthesised as it is, and named in warnings.
     """
-    prepared = prepare(field, stroke, seed=seed, tolerance=tolerance)
-    samples = rendered(prepared)
+    prepared, samples = synthesised(field, stroke, seed, tolerance)
     told = described(field, stroke, prepared, samples, sample_rate)
     if tolerance is None or prepared.missed <= tolerance**2:
         return told
@@ -106,6 +107,15 @@ def synthesise(
         f"the tolerance is missed: {10.0 * np.log10(prepared.missed):.0f} dB is as near as this stroke was followed."
     )
     return replace(told, warnings=(*told.warnings, short))
+
+
+def synthesised(
+    field: Field, stroke: StrokeInput, seed: int, tolerance: float | None = None, emission: Evaluate = evaluate
+) -> tuple[Prepared, Float]:
+    """prepare() and rendered(), with carriers drawn while F_Θ is evaluated."""
+    with noise_ahead(field.config.carriers, seed, states_of(stroke)[0]):
+        prepared = prepare(field, stroke, seed=seed, tolerance=tolerance, emission=emission)
+    return prepared, rendered(prepared)
 
 
 def described(
@@ -217,8 +227,8 @@ def _prepare_within(
     sampled = sample_emission(emit, count, tolerance, turns(action, token_index))
     knots, amplitude = accumulated(field.config, sampled, count)
     if carriers.arc_count:
-        fastest, state = _fastest(action), knots // SAMPLES_PER_STATE
-        around = np.maximum(fastest[state], fastest[np.minimum(state + 1, len(fastest) - 1)])
+        pace, state = fastest(action), knots // SAMPLES_PER_STATE
+        around = np.maximum(pace[state], pace[np.minimum(state + 1, len(pace) - 1)])
         amplitude[:, carriers.arc_slice] *= around[:, None] * carriers.arc_centres() < BAND_END_HZ
     pressed = np.where(action.contact, action.force, 0.0)
     bank = filter_bank(stroke.mechanics, token_index, pressed, action.probe)
@@ -278,13 +288,7 @@ def reading_frequency(action: Action, carriers: Carriers) -> Float:
 
     Past BAND_END_HZ a band would alias, and a jump of the hand would ask for metres of micrometres.
     """
-    return np.asarray(_fastest(action)[:, None] * carriers.arc_centres())
-
-
-def _fastest(action: Action) -> Float:
-    """(n,) m/s within two states of each."""
-    around = np.pad(np.abs(np.diff(action.position)) * ACTION_RATE_HZ, 2)
-    return np.asarray(np.max([around[k : k + len(action.position)] for k in range(4)], axis=0))
+    return np.asarray(fastest(action)[:, None] * carriers.arc_centres())
 
 
 def rendered(prepared: Prepared) -> Float:

@@ -95,6 +95,12 @@ def sample_count(action: Action) -> int:
     return (len(action.speed) - 1) * SAMPLES_PER_STATE
 
 
+def fastest(action: Action) -> Float:
+    """(n,) m/s |ds/dt| within two states of each."""
+    around = np.pad(np.abs(np.diff(action.position)) * ACTION_RATE_HZ, 2)
+    return np.asarray(np.max([around[k : k + len(action.position)] for k in range(4)], axis=0))
+
+
 def cubic(values: Float, place: Float) -> Float:
     """Catmull–Rom interpolation of values (n,) at fractional indices, held beyond the ends; C1."""
     last = len(values) - 1

@@ -1,0 +1,80 @@
+"""Carriers are drawn while F_Θ is evaluated: neither waits for the other, and two cores do both at once."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
+
+import numpy as np
+
+from ..action.action import Action
+from ..kernel.library import kernel
+from .carriers import Carriers
+from .hops import ARC_HOP, CELL, HOP, KEPT_ARC_HOPS, KEPT_TIME_HOPS, arc_hop, time_hop
+from .timeline import SAMPLES_PER_STATE, fastest
+
+Draw = Callable[[], object]
+
+MOST_TIME_HOPS, MOST_ARC_HOPS = KEPT_TIME_HOPS * 2 // 3, KEPT_ARC_HOPS * 2 // 3
+"""Of what is kept: a longer stroke draws the rest when it comes to it."""
+LOWEST_HZ, HIGHEST_HZ = 8.0, 4000.0
+"""Between them a carrier in arc length sounds in full: what is drawn is heard."""
+
+
+@contextmanager
+def noise_ahead(carriers: Carriers, seed: int, action: Action, origin: int = 0) -> Iterator[None]:
+    """Meanwhile a thread draws the carriers that a stroke will be rendered from, first those that are heard first; it
+    ends with the block. origin: as of synthesis.Prepared.
+
+    None is begun on a single core, nor without the kernel: numpy's own way holds the interpreter. action: at
+    ACTION_RATE_HZ.
+    """
+    if kernel() is None or (os.cpu_count() or 1) < 2 or carriers.constant:
+        yield
+        return
+    stop = threading.Event()
+
+    def draw() -> None:
+        # Who needs what cannot be drawn here meets the same error, and tells it.
+        with suppress(Exception):
+            for each in _wanted(carriers, seed, action, origin):
+                if stop.is_set():
+                    return
+                each()
+
+    thread = threading.Thread(target=draw, name="hnf-noise", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+def _wanted(carriers: Carriers, seed: int, action: Action, origin: int) -> Iterator[Draw]:
+    """Nothing where the first is still kept: then the others mostly are."""
+    loud = action.contact & (action.speed > 0.0) & (action.force > 0.0)
+    sample = origin + SAMPLES_PER_STATE * np.arange(len(loud))
+    hops, first = np.unique(sample[loud] // HOP, return_index=True)
+    if len(hops) == 0:
+        return
+    drawn = time_hop.cache_info().misses
+    yield partial(time_hop, carriers, seed, int(hops[0]))
+    if time_hop.cache_info().misses == drawn:
+        return
+    order: list[tuple[int, Draw]] = []
+    for hop, at in zip(hops[1:MOST_TIME_HOPS].tolist(), first[1:].tolist(), strict=False):
+        order.append((at, partial(time_hop, carriers, seed, hop)))
+    place, pace, arcs = action.position[loud], fastest(action)[loud], list[tuple[int, Draw]]()
+    for octave in range(carriers.arc_octaves):
+        lowest = carriers.arc_start_per_m * 2.0**octave
+        heard = np.flatnonzero((2.0 * lowest * pace > LOWEST_HZ) & (lowest * pace < HIGHEST_HZ))
+        cells = np.floor(place[heard] / (CELL * carriers.arc_step_m(octave) * ARC_HOP)).astype(np.int64)
+        which, at = np.unique(cells, return_index=True)
+        for hop, first_at in zip(which.tolist(), heard[at].tolist(), strict=True):
+            arcs.append((first_at, partial(arc_hop, carriers, seed, octave, hop)))
+    order += sorted(arcs, key=lambda each: each[0])[:MOST_ARC_HOPS]
+    yield from (each for _, each in sorted(order, key=lambda each: each[0]))
