@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,13 +48,6 @@ class Sampled:
     emission: Emission
     missed: float
 
-    def reading(self, sample: Samples) -> tuple[Float, Float]:
-        """alpha (n, K) of the only head and sigma_dt (n, N) at any samples (n,), held beyond the ends."""
-        row, share = self.place(sample)
-        alpha = np.zeros((len(sample), self.emission.alpha.shape[-1]))
-        self.add_alpha(row, share, np.ones(len(sample)), alpha)
-        return alpha, _between(self.emission.sigma_dt, row, share)
-
     def place(self, sample: Samples) -> tuple[Samples, Float]:
         """The evaluation before each sample (n,), and how far it is on the way to the next, 0 … 1."""
         row = np.clip(np.searchsorted(self.at, sample, side="right") - 1, 0, len(self.at) - 2)
@@ -79,32 +73,94 @@ def sample_emission(evaluate: Evaluate, count: int, tolerance: float, turns: Sam
     samples that are asked for in any case, since something begins or ends there. At MOST samples it stops.
     """
     known = np.arange(0) if turns is None else turns[turns < count]
-    at = np.unique(np.concatenate([np.arange(0, count, COARSEST), known, [count]]))
-    emission = _evaluate(evaluate, at)
-    pending = np.stack([at[:-1], at[1:]], axis=1)
+    asked = _Asked(evaluate, np.unique(np.concatenate([np.arange(0, count, COARSEST), known, [count]])))
+    pending = np.stack([np.arange(asked.count - 1), np.arange(1, asked.count)], axis=1)
     before = np.zeros(len(pending))
     settled, power, claimed = np.zeros((0, 2), dtype=np.int64), np.zeros(0), np.zeros(0)
     while True:
-        long = np.diff(pending, axis=1)[:, 0] > FINEST
+        long = asked.lengths(pending) > FINEST
         pending, before = pending[long], before[long]
         if len(pending):
-            at, emission, halves, found = _halved(evaluate, at, emission, pending)
+            halves, found = asked.halved(pending)
             settled, power = np.concatenate([settled, halves]), np.concatenate([power, np.tile(found, 2)])
             claimed = np.concatenate([claimed, np.tile(_of_a_half(found, before), 2)])
-        loud = np.square(emission.alpha).sum(axis=(1, 2))
-        total = float(np.sum(0.5 * (loud[1:] + loud[:-1]) * np.diff(at)))
-        left_out = claimed * np.diff(settled, axis=1)[:, 0] * _PARABOLA
+        total = asked.total()
+        left_out = claimed * asked.lengths(settled) * _PARABOLA
         order = np.argsort(left_out)
         so_far = np.cumsum(left_out[order])
         missed = float(so_far[-1] / total) if len(so_far) and total > 0.0 else 0.0
         worst = order[np.searchsorted(so_far, (SAFETY * tolerance) ** 2 * total, side="right") :]
-        worst = worst[np.diff(settled[worst], axis=1)[:, 0] > FINEST]
-        worst = worst[len(worst) - min(len(worst), max(MOST - len(at), 0) // 2) :]
+        worst = worst[asked.lengths(settled[worst]) > FINEST]
+        worst = worst[len(worst) - min(len(worst), max(MOST - asked.count, 0) // 2) :]
         if len(worst) == 0:
-            return Sampled(at, emission, missed)
+            return asked.sampled(missed)
         worst.sort()
         pending, before = settled[worst], power[worst]
         settled, power, claimed = np.delete(settled, worst, axis=0), np.delete(power, worst), np.delete(claimed, worst)
+
+
+class _Asked:
+    """Evaluations in the order in which they were asked for; an interval is the rows (p, 2) of its two ends."""
+
+    def __init__(self, evaluate: Evaluate, at: Samples) -> None:
+        self._evaluate, self.count = evaluate, 0
+        self._at = np.zeros(0, dtype=np.int64)
+        self._alpha, self._sigma_dt, self._power = np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0)
+        self._ask(at)
+
+    def lengths(self, intervals: Samples) -> Samples:
+        """Samples (p,)."""
+        return np.asarray(self._at[intervals[:, 1]] - self._at[intervals[:, 0]])
+
+    def halved(self, intervals: Samples) -> tuple[Samples, Float]:
+        """Their halves (2p, 2), and what the straight line of each misses in its middle (p,), as power."""
+        low, high = intervals.T
+        middle = (self._at[low] + self._at[high]) // 2
+        share = ((middle - self._at[low]) / (self._at[high] - self._at[low]))[:, None]
+        rows = self._ask(middle)
+        off, thinner = (
+            each[rows] - (each[low] + share * (each[high] - each[low])) for each in (self._alpha, self._sigma_dt)
+        )
+        # Weights answer to densities one to one at most, so a density's error is one of the whole amplitude.
+        missed = _squares(off) + self._power[rows] * _squares(thinner)
+        between = np.arange(rows.start, rows.stop)
+        return np.concatenate([np.stack([low, between], 1), np.stack([between, high], 1)]), missed
+
+    def total(self) -> float:
+        """Power of the straight lines, times samples."""
+        order = np.argsort(self._at[: self.count])
+        power, at = self._power[order], self._at[order]
+        return float(np.sum(0.5 * (power[1:] + power[:-1]) * np.diff(at)))
+
+    def sampled(self, missed: float) -> Sampled:
+        order = np.argsort(self._at[: self.count])
+        return Sampled(self._at[order], Emission(self._alpha[order][:, None, :], self._sigma_dt[order]), missed)
+
+    def _ask(self, at: Samples) -> slice:
+        """The rows of what is evaluated at these samples."""
+        parts = [self._evaluate(at[low : low + AT_ONCE]) for low in range(0, len(at), AT_ONCE)]
+        rows = slice(self.count, self.count + len(at))
+        alpha = np.concatenate([part.alpha[:, 0] for part in parts])
+        self._at = _with(self._at, rows, at)
+        self._alpha, self._power = _with(self._alpha, rows, alpha), _with(self._power, rows, _squares(alpha))
+        self._sigma_dt = _with(self._sigma_dt, rows, np.concatenate([part.sigma_dt for part in parts]))
+        self.count = rows.stop
+        return rows
+
+
+def _with(kept: NDArray[Any], rows: slice, new: NDArray[Any]) -> NDArray[Any]:
+    """kept with new in these rows, which follow the last; where there is no room, in twice the memory."""
+    if rows.stop > len(kept):
+        grown = np.empty((max(2 * len(kept), rows.stop), *new.shape[1:]), dtype=new.dtype)
+        grown[: rows.start] = kept[: rows.start] if rows.start else 0.0
+        kept = grown
+    kept[rows] = new
+    return kept
+
+
+def _squares(values: Float) -> Float:
+    """(n,) sums of squares of (n, K)."""
+    return np.asarray(np.einsum("nk,nk->n", values, values))
 
 
 def _of_a_half(found: Float, before: Float) -> Float:
@@ -116,32 +172,6 @@ def _of_a_half(found: Float, before: Float) -> Float:
     """
     share: Float = 0.5 * np.clip(found / np.maximum(before, 1e-300), 0.5, 1.0)
     return found * share
-
-
-def _halved(
-    evaluate: Evaluate, at: Samples, emission: Emission, pending: Samples
-) -> tuple[Samples, Emission, Samples, Float]:
-    """With the middles of the intervals pending (p, 2): at, emission, the halves (2p, 2), and what the straight line of
-    each interval misses in its middle (p,), as power."""
-    middle = pending.sum(axis=1) // 2
-    found = _evaluate(evaluate, middle)
-    line = Sampled(at, emission, 0.0).reading(middle)
-    power = np.square(found.alpha).sum(axis=(1, 2))
-    # Weights answer to densities one to one at most, so a density's error is one of the whole amplitude.
-    missed = np.square(found.alpha[:, 0] - line[0]).sum(axis=1) + power * np.square(found.sigma_dt - line[1]).sum(
-        axis=1
-    )
-    order = np.argsort(np.concatenate([at, middle]), kind="stable")
-    both = Emission(
-        np.concatenate([emission.alpha, found.alpha])[order], np.concatenate([emission.sigma_dt, found.sigma_dt])[order]
-    )
-    halves = np.concatenate([np.stack([pending[:, 0], middle], 1), np.stack([middle, pending[:, 1]], 1)])
-    return np.concatenate([at, middle])[order], both, halves, missed
-
-
-def _evaluate(evaluate: Evaluate, at: Samples) -> Emission:
-    parts = [evaluate(at[low : low + AT_ONCE]) for low in range(0, len(at), AT_ONCE)]
-    return Emission(np.concatenate([p.alpha for p in parts]), np.concatenate([p.sigma_dt for p in parts]))
 
 
 def accumulated(config: FieldConfig, sampled: Sampled, count: int) -> tuple[Samples, Float]:

@@ -13,6 +13,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ..kernel.hop import Piece
 from .band_waves import WavePlan, complex_waves, real_waves, wave_plan
 from .carriers import ARC_BLOCK, ARC_PER_OCTAVE, ARC_STREAM, MODEL_RATE_HZ, TIME_BLOCK, Carriers
 from .noise import Bins, band_bins, bins_of, crossfade_window
@@ -77,11 +78,11 @@ def _joined(one: Float32, two: Float32, three: Float32, four: Float32, margin: i
 
 
 @lru_cache(maxsize=KEPT_ARC_HOPS)
-def arc_hop(carriers: Carriers, seed: int, octave: int, hop: int) -> Waves:
+def arc_hop(carriers: Carriers, seed: int, octave: int, hop: int) -> Piece:
     """(24, ARC_HOP) of one octave, at s = (hop · ARC_HOP + j) · CELL · arc_step_m(octave)."""
     waves = join_arc(*(_arc_block(carriers, seed, octave, block) for block in (hop - 1, hop)))
     waves.setflags(write=False)
-    return waves
+    return Piece.of(waves)
 
 
 def join_arc(before: Waves, after: Waves, out: Waves | None = None) -> Waves:

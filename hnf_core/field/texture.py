@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..kernel import hop as kernel_hop
-from ..kernel.hop import HopTables, Piece
+from ..kernel.hop import HopTables
 from ..kernel.library import kernel
 from .carriers import ARC_PER_OCTAVE, MODEL_RATE_HZ, Carriers
 from .hops import (
@@ -196,7 +196,7 @@ def _compiled_hop(compiled: CDLL, near: Knots, carriers: Carriers, seed: int, pl
     return kernel_hop.hop(
         compiled, hop_tables(carriers), near.at, near.amplitude, hop * HOP, np.ascontiguousarray(place),
         time_hop(carriers, seed, hop) if sounds else None,
-        lambda octave, number: Piece.of(arc_hop(carriers, seed, octave, number)),
+        lambda octave, number: arc_hop(carriers, seed, octave, number),
     )  # fmt: skip
 
 
@@ -219,7 +219,7 @@ def _cells(carriers: Carriers, seed: int, octave: int, first: int, last: int) ->
     waves = np.empty((ARC_PER_OCTAVE, last - first), dtype=np.complex64)
     for hop in hops:
         low, high = max(first, hop * ARC_HOP), min(last, (hop + 1) * ARC_HOP)
-        source = arc_hop(carriers, seed, octave, hop)
+        source = arc_hop(carriers, seed, octave, hop).waves
         waves[:, low - first : high - first] = source[:, low - hop * ARC_HOP : high - hop * ARC_HOP]
     return waves
 

@@ -174,7 +174,7 @@ class Refuses:
 def test_what_it_would_misread_never_reaches_it():
     none, tables, share = Refuses(), texture.hop_tables(CARRIERS), np.zeros(8, np.float32)
     place = np.full(8, 0.03)
-    kept = Piece.of(arc_hop(CARRIERS, 1, 0, 0))
+    kept = arc_hop(CARRIERS, 1, 0, 0)
 
     def read(octaves=(0, 3), place=place, share=share, piece=lambda *_: kept):
         return ArcReader(tables, share).read(none, octaves, place, piece)
@@ -241,7 +241,7 @@ def test_a_hop_that_it_would_misread_never_reaches_it():
     compiled = kernel()
     if compiled is not None:
         with pytest.raises(ValueError, match="carriers in time"):
-            asked(kernel=compiled, waves=waves[:2], piece=lambda *_: Piece.of(arc_hop(CARRIERS, 1, 0, 0)))
+            asked(kernel=compiled, waves=waves[:2], piece=lambda *_: arc_hop(CARRIERS, 1, 0, 0))
         with pytest.raises(ValueError, match="piece"):
             asked(kernel=compiled, piece=lambda *_: Piece.of(np.ones((24, 9), np.complex64)))
     with pytest.raises(ValueError, match="states"):

@@ -121,7 +121,7 @@ def test_hops_of_time_are_the_carriers(hop):
 def test_hops_of_arc_length_are_the_carriers(octave, hop):
     at = (hop * ARC_HOP + np.arange(ARC_HOP)) * CELL
     waves = CARRIERS.arc_samples(3, octave, int(at[0]), ARC_HOP * CELL)[:, ::CELL]
-    turned = arc_hop(CARRIERS, 3, octave, hop) * np.exp(2j * np.pi * at * MIDDLE / ARC_BLOCK)
+    turned = arc_hop(CARRIERS, 3, octave, hop).waves * np.exp(2j * np.pi * at * MIDDLE / ARC_BLOCK)
     np.testing.assert_allclose(turned.real, waves, atol=1e-6)
 
 

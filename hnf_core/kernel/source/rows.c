@@ -1,4 +1,4 @@
-/* What lies between the rows of a table: the twin of Sampled.reading in hnf_core/field/adaptive.py. */
+/* What lies between the rows of a table: the twin of Sampled.add_alpha in hnf_core/field/adaptive.py. */
 #include "hnf_kernel.h"
 
 /* out[i] += factor[i] * (values[row[i]] + share[i] * (values[row[i] + 1] - values[row[i]])), rows of width numbers. */
