@@ -85,15 +85,10 @@ def run(arguments: argparse.Namespace) -> int:
         stroke_name = arguments.stroke.name
     stroke = uniform_stroke(action, material.token, material.mechanics)
     facts = {"stroke": stroke_name, "material": material.name}
-    if action.duration_s <= LONG_S:
-        written = _write_whole(arguments.out, field, stroke, arguments.seed, arguments.rate, facts, tolerance)
-    elif tolerance is None:
-        written = write_long(arguments.out, field, stroke, seed=arguments.seed, rate=arguments.rate, facts=facts)
-    else:
-        raise UsageError(
-            f"--tolerance is for strokes of up to {LONG_S:g} s, this one takes {action.duration_s:g} s.",
-            remedy="Leave it out: the field is then evaluated 200 times a second.",
-        )
+    write = _write_whole if action.duration_s <= LONG_S else write_long
+    written = write(
+        arguments.out, field, stroke, seed=arguments.seed, rate=arguments.rate, facts=facts, tolerance=tolerance
+    )
     for warning in written.warnings:
         print(f"hnf: {warning}", file=sys.stderr)
     record = {
@@ -119,7 +114,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _write_whole(
-    path: Path, field: Field, stroke: StrokeInput, seed: int, rate: float, facts: Mapping[str, str],
+    path: Path, field: Field, stroke: StrokeInput, *, seed: int, rate: float, facts: Mapping[str, str],
     tolerance: float | None,
 ) -> Written:  # fmt: skip
     result = synthesise(field, stroke, seed=seed, sample_rate=rate, tolerance=tolerance)

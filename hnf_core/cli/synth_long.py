@@ -16,6 +16,7 @@ from ..field.field import Field
 from ..field.long_stroke import PORTION, Portion, portions
 from ..field.resampling import conversion, rate_warnings, resample_stream
 from ..field.stroke import StrokeInput
+from ..field.synthesis import fallen_short
 from ..field.timeline import sample_count, states_of
 from ..signal import Signal
 from .progress import Progress, ProgressBar
@@ -40,12 +41,12 @@ class _Meter:
     """What passes through, summed up."""
 
     def __init__(self) -> None:
-        self.loudest, self.square, self.peak = 0.0, 0.0, 0.0
+        self.loudest, self.missed, self.square, self.peak = 0.0, 0.0, 0.0, 0.0
 
     def samples(self, pieces: Iterator[Portion], total: int) -> Iterator[NDArray[np.float64]]:
         bar, done = ProgressBar(), 0
         for piece in pieces:
-            self.loudest = max(self.loudest, piece.loudest)
+            self.loudest, self.missed = max(self.loudest, piece.loudest), max(self.missed, piece.missed)
             yield piece.samples
             done += len(piece.samples)
             bar.show(Progress("of the signal is written", done // int(MODEL_RATE_HZ), total // int(MODEL_RATE_HZ)))
@@ -61,21 +62,22 @@ class _Meter:
 
 def write_long(
     path: Path, field: Field, stroke: StrokeInput, *, seed: int, rate: float, facts: Mapping[str, str],
-    portion: int = PORTION,
+    tolerance: float | None = None, portion: int = PORTION,
 ) -> Written:  # fmt: skip
-    """Synthesise stroke into a WAV at path; the samples are those of synthesise() within 1e-6 of their RMS.
+    """Synthesise stroke into a WAV at path; the samples are those of synthesise() within 1e-6 of their RMS, or, with a
+    tolerance, as near to the field's as that says.
 
     facts: more provenance. portion: samples made at once. Raises what synthesise() and write_wav() raise, of a signal
     too long for a WAV before anything is made; an earlier file at path is then unharmed.
     """
     action, _ = states_of(stroke)
     total, convert, meter = sample_count(action), conversion(MODEL_RATE_HZ, rate), _Meter()
-    made = meter.samples(portions(field, stroke, seed=seed, length=portion), total)
+    made = meter.samples(portions(field, stroke, seed=seed, length=portion, tolerance=tolerance), total)
     count = total if rate == MODEL_RATE_HZ else convert.count(total)
     origin = {"probe": action.probe, "field": field.identity, "model_rate_hz": f"{MODEL_RATE_HZ:g}"}
     head = Signal(np.zeros(0, dtype=np.float32), rate, seed, {**origin, **facts})
     write_wav_stream(path, head, count, meter.written(resample_stream(made, total, MODEL_RATE_HZ, rate)))
     confidence, warnings = examine(field, stroke, action)
-    warnings += (*at_ceiling(field.config, meter.loudest), *rate_warnings(rate))
+    warnings += (*at_ceiling(field.config, meter.loudest), *rate_warnings(rate), *fallen_short(meter.missed, tolerance))
     rms = float(np.sqrt(meter.square / count)) if count else 0.0
     return Written(rate, count / rate, rms, meter.peak, confidence, warnings)

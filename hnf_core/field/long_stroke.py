@@ -47,20 +47,23 @@ _AROUND = 4
 @dataclass(frozen=True)
 class Portion:
     """samples: (m,) float64 m/s² at the model rate, following those of the portion before. loudest: the field's largest
-    amplitude in it, m/s²."""
+    amplitude in it, m/s². missed: see Prepared."""
 
     samples: Float
     loudest: float
+    missed: float
 
 
 def portions(
-    field: Field, stroke: StrokeInput, *, seed: int, length: int = PORTION, begin: int = 0
-) -> Iterator[Portion]:
+    field: Field, stroke: StrokeInput, *, seed: int, length: int = PORTION, begin: int = 0,
+    tolerance: float | None = None,
+) -> Iterator[Portion]:  # fmt: skip
     """synthesise() at the model rate, portion by portion: together within 1e-6 of its RMS (places are counted from
     another zero, and rounded to float32), in memory that does not grow with the stroke.
 
     length: samples of a portion. begin: the sample to begin at; what comes before it is not computed. Both whole
-    numbers of STEP. Raises StrokeError for an action without duration, UsageError for another length, or for a stroke
+    numbers of STEP. tolerance: as of prepare(), of the power of each portion: where one begins, amplitudes may step by
+    as much. Raises StrokeError for an action without duration, UsageError for another length, or for a stroke
     with a height profile, which is one piece.
     """
     if length <= 0 or length % STEP or begin < 0 or begin % STEP:
@@ -77,12 +80,12 @@ def portions(
         origin = rows.start * SAMPLES_PER_STATE
         piece = StrokeInput(_states(action, rows), stroke.tokens, stroke.mechanics, token_index[rows])
         with noise_ahead(field.config.carriers, seed, piece.action, origin):
-            prepared = replace(prepare(field, piece, seed=seed), origin=origin)
+            prepared = replace(prepare(field, piece, seed=seed, tolerance=tolerance), origin=origin)
         with one_blas_thread():
             blocks = [
                 render_block(prepared, first - origin, min(BLOCK, stop - first)) for first in range(start, stop, BLOCK)
             ]
-        yield Portion(np.concatenate(blocks), float(prepared.loudest.max(initial=0.0)))
+        yield Portion(np.concatenate(blocks), float(prepared.loudest.max(initial=0.0)), prepared.missed)
 
 
 def _rows(field: Field, start: int, stop: int, states: int) -> slice:

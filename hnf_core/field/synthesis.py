@@ -101,12 +101,14 @@ def synthesise(
     """
     prepared, samples = synthesised(field, stroke, seed, tolerance)
     told = described(field, stroke, prepared, samples, sample_rate)
-    if tolerance is None or prepared.missed <= tolerance**2:
-        return told
-    short = (
-        f"the tolerance is missed: {10.0 * np.log10(prepared.missed):.0f} dB is as near as this stroke was followed."
-    )
-    return replace(told, warnings=(*told.warnings, short))
+    return replace(told, warnings=(*told.warnings, *fallen_short(prepared.missed, tolerance)))
+
+
+def fallen_short(missed: float, tolerance: float | None) -> tuple[str, ...]:
+    """What there is to say of a stroke that was not followed as closely as was asked for. missed: see Prepared."""
+    if tolerance is None or missed <= tolerance**2:
+        return ()
+    return (f"the tolerance is missed: {10.0 * np.log10(missed):.0f} dB is as near as this stroke was followed.",)
 
 
 def synthesised(

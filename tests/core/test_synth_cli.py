@@ -222,9 +222,13 @@ def test_a_tolerance_out_of_reach_is_refused(tmp_path, capsys, material, toleran
     assert not (tmp_path / "x.wav").exists()
 
 
-def test_a_tolerance_is_not_for_strokes_of_minutes(tmp_path, capsys, material):
-    table = tmp_path / "long.csv"
-    table.write_text(HEADER + "0,0,0.05,1\n130,0,0.05,1\n")
-    words = ("--action", table, "--tolerance", "-40", "--out", tmp_path / "x.wav")
-    assert hnf("synth", "--material", material, *words) == 2
-    assert "up to 120 s" in capsys.readouterr().err
+def test_a_tolerance_is_kept_in_a_stroke_of_minutes_too(tmp_path, capsys, material):
+    table, plain, near = tmp_path / "long.csv", tmp_path / "plain.wav", tmp_path / "near.wav"
+    rows = (f"{at},{0.2 * math.sin(at)},{0.05 + 0.03 * math.sin(0.7 * at)},1" for at in range(0, 131))
+    table.write_text(HEADER + "\n".join(rows) + "\n")
+    for words, path in (((), plain), (("--tolerance", "-30"), near)):
+        assert hnf("synth", "--material", material, "--action", table, *words, "--out", path) == 0
+    assert "tolerance" not in capsys.readouterr().err
+    one, two = (read_wav(path).samples.astype(float) for path in (plain, near))
+    assert len(one) == len(two) == 1_300_000
+    assert 0.0 < np.sqrt(np.mean(np.square(one - two))) < 0.05 * np.sqrt(np.mean(np.square(one)))
