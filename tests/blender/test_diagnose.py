@@ -13,6 +13,7 @@ from hnf_blender.ops import diagnose
 from hnf_blender.rooms import switch_off, switch_on
 from hnf_blender.state.session import STATE, JobStatus, LastJob
 from hnf_core.field.weights import load_field
+from hnf_core.kernel.library import kernel, plainly
 
 
 @pytest.fixture(autouse=True)
@@ -62,6 +63,14 @@ def test_lines_up() -> None:
 
 def test_a_part_that_is_missing_is_said_not_raised() -> None:
     assert diagnose._version_of("no-such-package") == "not installed"
+
+
+def test_whoever_does_the_kernels_work_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = diagnose._kernel()
+    assert (told == "at work") == (kernel() is not None)
+    with plainly():
+        assert diagnose._kernel().startswith("numpy stands in for it")
+    assert ("Compiled kernel", told) in diagnose.collect()
 
 
 def test_clearing_the_cache_deletes_its_files_and_nothing_else(tmp_path: Path) -> None:
