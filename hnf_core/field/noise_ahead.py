@@ -20,8 +20,10 @@ Draw = Callable[[], object]
 
 MOST_TIME_HOPS, MOST_ARC_HOPS = KEPT_TIME_HOPS * 2 // 3, KEPT_ARC_HOPS * 2 // 3
 """Of what is kept: a longer stroke draws the rest when it comes to it."""
-LOWEST_HZ, HIGHEST_HZ = 8.0, 4000.0
-"""Between them a carrier in arc length sounds in full: what is drawn is heard."""
+LOWEST_HZ, HIGHEST_HZ = 4.2, 4700.0
+"""Between them a carrier in arc length sounds (linear_contact.arc_gain): what is drawn is heard."""
+CELLS_BEFORE, CELLS_BEHIND = 1, 2
+"""That are read besides the one at a place."""
 
 
 @contextmanager
@@ -72,9 +74,10 @@ def _wanted(carriers: Carriers, seed: int, action: Action, origin: int) -> Itera
     for octave in range(carriers.arc_octaves):
         lowest = carriers.arc_start_per_m * 2.0**octave
         heard = np.flatnonzero((2.0 * lowest * pace > LOWEST_HZ) & (lowest * pace < HIGHEST_HZ))
-        cells = np.floor(place[heard] / (CELL * carriers.arc_step_m(octave) * ARC_HOP)).astype(np.int64)
-        which, at = np.unique(cells, return_index=True)
-        for hop, first_at in zip(which.tolist(), heard[at].tolist(), strict=True):
+        cells = np.floor(place[heard] / (CELL * carriers.arc_step_m(octave)))
+        read = np.concatenate([cells - CELLS_BEFORE, cells + CELLS_BEHIND])
+        which, at = np.unique((read // ARC_HOP).astype(np.int64), return_index=True)
+        for hop, first_at in zip(which.tolist(), np.tile(heard, 2)[at].tolist(), strict=True):
             arcs.append((first_at, partial(arc_hop, carriers, seed, octave, hop)))
     order += sorted(arcs, key=lambda each: each[0])[:MOST_ARC_HOPS]
     yield from (each for _, each in sorted(order, key=lambda each: each[0]))
