@@ -167,10 +167,8 @@ class OneState:
         _check(emitter, 1, token, fixed, self._motion, self._touch)
         x, expected = np.empty((1, emitter.inputs), dtype=np.float32), Expected.empty(1, emitter)
         widths = np.array([shapes[0][1], *(shape[0] for shape in shapes)], dtype=np.int64)
-        room, layers_room = (
-            np.empty(max(emitter.room, emitter.emitted_room)),
-            np.empty(2 * int(widths[:-2].max()), "f4"),
-        )
+        room = np.empty(max(emitter.room, emitter.emitted_room))
+        layers_room = np.empty(2 * int(widths[:-2].max()), dtype=np.float32)
         head, self._sigma = (np.empty(shape[0], dtype=np.float32) for shape in shapes[-2:])
         self._alpha, told = np.empty(emitter.carriers), expected.struct(1, emitter)
         tables, own = ctypes.byref(emitter.tables.struct), ctypes.byref(emitter.struct)
