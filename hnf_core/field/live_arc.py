@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,8 +39,7 @@ class LiveArc:
     """All octaves of a seed. Made ready for a start at s = 0. at_once: hops that a step had to wait for."""
 
     def __init__(self, carriers: Carriers, seed: int) -> None:
-        self.at_once = 0
-        self._reader = ArcReader(hop_tables(carriers), _SHARE)
+        self._carriers, self.at_once = carriers, 0
         octaves = range(carriers.arc_octaves)
         self._per_m = [1.0 / (CELL * carriers.arc_step_m(octave)) for octave in octaves]
         self._lowest = [carriers.arc_start_per_m * 2.0**octave for octave in octaves]
@@ -47,6 +47,11 @@ class LiveArc:
         for each in self._kept:
             for hop in (-1, 0):
                 each.make(hop)
+
+    @cached_property
+    def _reader(self) -> ArcReader:
+        """Where there are octaves: a field may have none."""
+        return ArcReader(hop_tables(self._carriers), _SHARE)
 
     @property
     def kept(self) -> int:
