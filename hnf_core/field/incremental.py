@@ -60,7 +60,7 @@ def render(
     """
     start = earlier if earlier is not None and same_path(earlier, field, stroke, seed) else None
     # What is made from earlier has its carriers, and takes few of them anew.
-    with nullcontext() if start is not None else noise_ahead(field.config.carriers, seed, states_of(stroke)[0]):
+    with nullcontext() if start is not None else noise_ahead(field.config, seed, states_of(stroke)[0]):
         prepared = prepare(field, stroke, seed=seed, earlier=None if start is None else start.prepared)
     samples = np.empty(prepared.count) if start is None else start.samples.copy()
     blocks = blocks_of(prepared.count)

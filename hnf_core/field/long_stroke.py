@@ -79,7 +79,7 @@ def portions(
         rows = _rows(field, start, stop, len(action.speed))
         origin = rows.start * SAMPLES_PER_STATE
         piece = StrokeInput(_states(action, rows), stroke.tokens, stroke.mechanics, token_index[rows])
-        with noise_ahead(field.config.carriers, seed, piece.action, origin):
+        with noise_ahead(field.config, seed, piece.action, origin):
             prepared = replace(prepare(field, piece, seed=seed, tolerance=tolerance), origin=origin)
         with one_blas_thread():
             blocks = [

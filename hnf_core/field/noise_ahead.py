@@ -13,6 +13,7 @@ import numpy as np
 from ..action.action import Action
 from ..kernel.library import kernel
 from .carriers import Carriers
+from .field import FieldConfig
 from .hops import ARC_HOP, CELL, HOP, KEPT_ARC_HOPS, KEPT_TIME_HOPS, arc_hop, time_hop
 from .timeline import SAMPLES_PER_STATE, fastest
 
@@ -27,14 +28,15 @@ CELLS_BEFORE, CELLS_BEHIND = 1, 2
 
 
 @contextmanager
-def noise_ahead(carriers: Carriers, seed: int, action: Action, origin: int = 0) -> Iterator[None]:
+def noise_ahead(config: FieldConfig, seed: int, action: Action, origin: int = 0) -> Iterator[None]:
     """Meanwhile a thread draws the carriers that a stroke will be rendered from, first those that are heard first; it
     ends with the block. origin: as of synthesis.Prepared.
 
-    None is begun on a single core, nor without the kernel: numpy's own way holds the interpreter. action: at
-    ACTION_RATE_HZ.
+    None is begun on a single core, nor without the kernel, since numpy's own way holds the interpreter, nor for a field
+    that is rendered plainly. action: at ACTION_RATE_HZ.
     """
-    if kernel() is None or (os.cpu_count() or 1) < 2 or carriers.constant:
+    carriers, plainly = config.carriers, config.alpha_heads > 1 or config.carriers.constant
+    if kernel() is None or (os.cpu_count() or 1) < 2 or plainly or not carriers.time_count:
         yield
         return
     stop = threading.Event()

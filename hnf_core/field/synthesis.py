@@ -115,7 +115,7 @@ def synthesised(
     field: Field, stroke: StrokeInput, seed: int, tolerance: float | None = None, emission: Evaluate = evaluate
 ) -> tuple[Prepared, Float]:
     """prepare() and rendered(), with carriers drawn while F_Θ is evaluated."""
-    with noise_ahead(field.config.carriers, seed, states_of(stroke)[0]):
+    with noise_ahead(field.config, seed, states_of(stroke)[0]):
         prepared = prepare(field, stroke, seed=seed, tolerance=tolerance, emission=emission)
     return prepared, rendered(prepared)
 

@@ -13,6 +13,7 @@ from hnf_core.action.primitive_path import primitive_action
 from hnf_core.action.primitives import PRIMITIVES
 from hnf_core.bench.synth import forget_carriers, ten_seconds
 from hnf_core.field import noise_ahead as ahead
+from hnf_core.field.field import FieldConfig
 from hnf_core.field.hops import arc_hop, time_hop
 from hnf_core.field.noise_ahead import MOST_ARC_HOPS, MOST_TIME_HOPS, noise_ahead
 from hnf_core.field.stroke import StrokeInput, uniform_stroke
@@ -78,7 +79,7 @@ def test_it_draws_while_another_thing_is_done_and_ends_with_it(monkeypatch):
     monkeypatch.setattr(ahead.os, "cpu_count", lambda: 2)
     action, met = states_of(ten_seconds(2.0))[0], threading.Event()
     monkeypatch.setattr(ahead, "time_hop", Noting(met))
-    with suppress(KeyError), noise_ahead(CARRIERS, 4, action):
+    with suppress(KeyError), noise_ahead(FIELD.config, 4, action):
         assert met.wait(60.0)
         raise KeyError
     assert not any(thread.name == "hnf-noise" for thread in threading.enumerate())
@@ -102,7 +103,7 @@ def test_what_cannot_be_drawn_is_told_by_who_needs_it(monkeypatch):
         raise MemoryError
 
     monkeypatch.setattr(ahead, "arc_hop", fails)
-    with noise_ahead(CARRIERS, 4, states_of(ten_seconds(1.0))[0]):
+    with noise_ahead(FIELD.config, 4, states_of(ten_seconds(1.0))[0]):
         pass
 
 
@@ -130,8 +131,17 @@ def test_a_later_piece_begins_with_its_own_hops():
     assert first is time_hop(CARRIERS, 4, 40)
 
 
-def test_without_the_kernel_no_thread_is_begun(monkeypatch):
+def test_no_thread_is_begun_where_it_would_not_help(monkeypatch):
     monkeypatch.setattr(threading, "Thread", lambda **_: pytest.fail("a thread"))
-    with plainly(), noise_ahead(CARRIERS, 4, states_of(ten_seconds(1.0))[0]):
+    action = states_of(ten_seconds(1.0))[0]
+    with plainly(), noise_ahead(FIELD.config, 4, action):
+        pass
+    apart = replace(FIELD.config, accumulation="heads")
+    without = replace(FIELD.config, carriers=replace(CARRIERS, time_edges_hz=()))
+    for config in (FieldConfig.published(8), apart, without):
+        with noise_ahead(config, 4, action):
+            pass
+    monkeypatch.setattr(ahead.os, "cpu_count", lambda: 1)
+    with noise_ahead(FIELD.config, 4, action):
         pass
     assert drawn() == (0, 0)
