@@ -53,15 +53,15 @@ class Camera:
         local = np.concatenate([flat, z[..., None]], axis=-1)
         return np.asarray(local @ self.pose[:3, :3].T + self.pose[:3, 3])
 
-    def pixel_centres(self) -> Float:
-        """(H, W, 2) pixel coordinates of every pixel centre."""
-        x, y = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
+    def pixel_centres(self, rows: slice = slice(None)) -> Float:
+        """(H, W, 2) pixel coordinates of every pixel centre in rows."""
+        x, y = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height)[rows] + 0.5)
         return np.stack([x, y], axis=-1)
 
-    def pixel_rays(self) -> tuple[Float, Float]:
-        """Origins and directions (H, W, 3) in the world; directions have camera z = 1, so a hit's
+    def pixel_rays(self, rows: slice = slice(None)) -> tuple[Float, Float]:
+        """Origins and directions (H, W, 3) in the world, of pixels in rows; directions have camera z = 1, so a hit's
         ray parameter is its planar depth."""
-        centres = self.pixel_centres()
+        centres = self.pixel_centres(rows)
         origins = self.unproject(centres, np.zeros(centres.shape[:2]))
         directions = self.unproject(centres, np.ones(centres.shape[:2])) - origins
         return origins, directions

@@ -169,3 +169,16 @@ def test_a_view_reports_depth_polygon_and_normal_and_respects_the_clip_range():
     assert np.isinf(nothing.depth).all()
     assert (nothing.face_id == -1).all()
     assert (nothing.normal == 0.0).all()
+
+
+@pytest.mark.parametrize("at_once", [1, 33, 64, 500, 1 << 20])
+def test_a_view_is_the_same_however_many_rays_are_worked_out_together(at_once, monkeypatch):
+    rng = np.random.default_rng(4)
+    mesh = mesh_of(rng.uniform(-1.0, 1.0, (60, 3)), np.arange(60).reshape(-1, 3).tolist())
+    view = orthographic([0.0, 0.0, 0.0], [1, 0, 0], [0, 0, 1], 2.0, 33, 3.0)
+    whole = cast_view(embree_caster(mesh), mesh, view)
+    assert 0.1 < (whole.triangle >= 0).mean() < 1.0
+    monkeypatch.setattr("hnf_core.scene.raycast.AT_ONCE", at_once)
+    banded = cast_view(embree_caster(mesh), mesh, view)
+    for name in ("depth", "triangle", "face_id", "barycentric", "normal"):
+        assert getattr(banded, name).tobytes() == getattr(whole, name).tobytes()
