@@ -43,6 +43,7 @@ class Chain:
         self.ended = False
         self._nonfinite = 0
         self._source, self._stages, self._device = source, stages, device
+        self._preparing = source if isinstance(source, Preparing) else None
         self._resampler = resampler(source.rate_hz, device.rate_hz, source.channels, prompt=prompt)
         self._per_frame = source.rate_hz / device.rate_hz
         self._owed = 0.0
@@ -76,8 +77,8 @@ class Chain:
 
     def prepare(self) -> None:
         """See source.Preparing."""
-        if isinstance(self._source, Preparing) and not self.ended:
-            self._source.prepare()
+        if self._preparing is not None and not self.ended:
+            self._preparing.prepare()
 
     def _finite(self, block: Samples) -> Samples:
         good = np.isfinite(block)
