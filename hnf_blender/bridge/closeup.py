@@ -5,7 +5,7 @@ One Cycles sample a pixel, exactly at its centre, of the touched object alone; e
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -134,15 +134,18 @@ def iter_closeups(
     metres_per_unit: float = 1.0,
     frame: float | None = None,
     first: int | None = None,
+    alone: Callable[[], None] = lambda: None,
 ) -> Generator[CloseUp, None, None]:
     """render_closeups, unlit, one after the other. Close it, or take all: the stage stands until then.
 
     first: side of a first look where all detail is in images; a closer one follows only where those show more than it
-    sees. None: no first look.
+    sees. None: no first look. alone: called before Blender is asked for anything, to wait for the caller's threads: an
+    operator lets them run, looks up its context in Python all the same, and Blender crashes. Rays are cast beside them.
     """
     if not patches:
         return
     where = f"object '{obj.name}'"
+    alone()
     with Temporary() as temporary:
         prepare_cycles(temporary.scene, samples=1)
         geometry_only(temporary.scene)
@@ -156,12 +159,15 @@ def iter_closeups(
         temporary.scene.render.use_persistent_data = len(patches) > 1
 
         def look(patch: Patch, side: int, before: _Looked | None = None) -> _Looked:
-            camera, rays = unoccluded(patch, side, caster)
+            try:
+                camera, rays = unoccluded(patch, side, caster)
+                cast = cast_view(caster, surface.mesh, camera)
+            finally:
+                alone()
             passes: Passes = {}
             if readings[patch.slot].taps:
                 aim(temporary.scene, camera_object, camera, stage.rigid, stage.metres_per_unit)
                 passes = render_passes(temporary)
-            cast = cast_view(caster, surface.mesh, camera)
             seen = _Seen(patch, camera, cast, passes, readings[patch.slot], stage, metres_per_unit)
             rays, renders = rays + cast.depth.size, 1 if passes else 0
             if before is not None:

@@ -156,15 +156,16 @@ def tap_slot(stage: Stage, slot: int, where: str) -> SlotReading:
 
 
 def _unlit(copy: Any, graph: NodeGraph) -> None:
-    """An opaque plain surface: taps are then read on the first surface met, whatever its transparency."""
+    """A surface that ends the path: taps are then read on the first surface met, whatever its transparency, and nothing
+    is asked about light (the bits of an opaque plain surface, for a fifth less)."""
     output = graph.output
     if output is None:
         output = graph.tree.nodes.new("ShaderNodeOutputMaterial")
-    plain = graph.tree.nodes.new("ShaderNodeBsdfDiffuse")
+    end = graph.tree.nodes.new("ShaderNodeHoldout")
     for name in ("Surface", "Volume", "Displacement"):
         for link in list(output.inputs[name].links):
             graph.tree.links.remove(link)
-    graph.tree.links.new(plain.outputs[0], output.inputs["Surface"])
+    graph.tree.links.new(end.outputs[0], output.inputs["Surface"])
     if hasattr(copy, "displacement_method"):
         copy.displacement_method = "BUMP"
 

@@ -3,7 +3,8 @@ and the networks else."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Generator, Sequence
+from collections.abc import Callable, Collection, Generator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -85,30 +86,51 @@ def bake_patches(
     """One record a patch. What the store lacks is rendered, all of it on one stage; where the relief is not known and
     the colour varies, it is estimated from the picture, once for each patch.
 
-    seeing: the networks. chosen: slots of which the artist said what they are: their pictures are not read. Yields
-    after each patch which share of them is done; each is stored at once, so that a run that is stopped has not lost it.
+    seeing: the networks. chosen: slots of which the artist said what they are: their pictures are not read. Each is
+    described and stored beside the rays of the next, so that a run that is stopped loses one at most. Yields which share
+    of them is done, with nothing at work meanwhile.
     Raises SceneError where a texture is missing. counts grows by the work done.
     """
     keys = [patch_key(touched, patch, seeing.measured.content_id) for patch in patches]
     wanted = dict(zip(keys, patches, strict=True))
     found = {key: record for key in wanted if (record := load_patch(folder, key)) is not None}
-    with closing(_closeups(touched, [patch for key, patch in wanted.items() if key not in found])) as closeups:
-        for done, (key, patch) in enumerate(wanted.items(), 1):
-            if key not in found:
-                closeup = next(closeups)
-                counts.close_ups += 1
-                counts.renders += closeup.renders
-                counts.rays += closeup.rays
-                found[key] = _record(closeup, touched.surface, seeing.measured, counts)
-                save_patch(folder, key, found[key])
-            if patch.slot not in chosen:
-                found[key] = _seen(found[key], key, noise_seed(touched, patch), folder, seeing, counts)
-            yield done / len(wanted)
+    missing = [patch for key, patch in wanted.items() if key not in found]
+
+    def describe(key: str, closeup: CloseUp | None) -> None:
+        patch = wanted[key]
+        if closeup is not None:
+            found[key] = _record(closeup, touched.surface, seeing.measured, counts)
+            save_patch(folder, key, found[key])
+        if patch.slot not in chosen:
+            found[key] = _seen(found[key], key, noise_seed(touched, patch), folder, seeing, counts)
+
+    with ThreadPoolExecutor(1) as beside:
+        describing: list[Future[None]] = []
+
+        def alone() -> None:
+            while describing:
+                describing.pop().result()
+
+        with closing(_closeups(touched, missing, alone)) as closeups:
+            for done, key in enumerate(wanted, 1):
+                closeup = None if key in found else next(closeups)
+                alone()
+                if closeup is not None:
+                    counts.close_ups += 1
+                    counts.renders += closeup.renders
+                    counts.rays += closeup.rays
+                yield (done - 1) / len(wanted)
+                describing.append(beside.submit(describe, key, closeup))
+            alone()
+    yield 1.0
     return tuple(found[key] for key in keys)
 
 
-def _closeups(touched: TouchedObject, patches: Sequence[Patch]) -> Generator[CloseUp, None, None]:
-    """One a patch, in their order: in the splats of a reconstructed surface, else by its shader."""
+def _closeups(
+    touched: TouchedObject, patches: Sequence[Patch], alone: Callable[[], None]
+) -> Generator[CloseUp, None, None]:
+    """One a patch, in their order: in the splats of a reconstructed surface, else by its shader. alone: see
+    iter_closeups."""
     in_splats = [touched.is_seen_in_splats(patch.slot) for patch in patches]
     drawn = iter_closeups(
         touched.obj,
@@ -118,6 +140,7 @@ def _closeups(touched: TouchedObject, patches: Sequence[Patch]) -> Generator[Clo
         metres_per_unit=touched.metres_per_unit,
         frame=touched.frame,
         first=FIRST_PIXELS,
+        alone=alone,
     )
     with closing(drawn):
         if not any(in_splats):

@@ -9,6 +9,7 @@ import traceback
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from pathlib import Path
 
+from hnf_core.blas import one_blas_thread
 from hnf_core.cli.progress import Progress
 from hnf_core.errors import HnfError
 
@@ -35,7 +36,7 @@ def bake_steps(
     for done, job in enumerate(jobs):
         yield Progress(job.name, done, total)
         try:
-            with timed(report, "bake_s"):
+            with timed(report, "bake_s"), one_blas_thread():  # Cycles and rays have both cores to fill
                 rendering = _bake(session, job, cache, report)
                 described = yield from _shares(rendering, f"{job.name}: close-ups", done, total)
             baked.append(without_maps(described))
