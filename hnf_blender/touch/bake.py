@@ -87,9 +87,9 @@ def bake_patches(
     the colour varies, it is estimated from the picture, once for each patch.
 
     seeing: the networks. chosen: slots of which the artist said what they are: their pictures are not read. Each is
-    described and stored beside the rays of the next, so that a run that is stopped loses one at most. Yields which share
-    of them is done, with nothing at work meanwhile.
-    Raises SceneError where a texture is missing. counts grows by the work done.
+    described and stored beside the rays of the next: a run that is stopped loses one at most. Yields which share of
+    them is done, with nothing at work meanwhile. counts grows by the work done. Raises SceneError where a texture is
+    missing.
     """
     keys = [patch_key(touched, patch, seeing.measured.content_id) for patch in patches]
     wanted = dict(zip(keys, patches, strict=True))
