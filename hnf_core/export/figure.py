@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PAPER = "#fbfbf9"
+PACKED = 4
+"""Of zlib's levels: half the time of the usual 6 for 3 % more bytes."""
 STYLE: dict[str, Any] = {
     "font.family": ["DejaVu Sans"],
     "font.size": 10.5,
@@ -62,5 +64,6 @@ def write_figure(path: Path, size_px: tuple[int, int], draw: Callable[[Figure], 
         if Path(path).suffix.lower() == ".svg":
             figure.savefig(buffer, format="svg", metadata={"Creator": made_by, "Date": None})
         else:
-            figure.savefig(buffer, format="png", dpi=100, metadata={"Software": made_by})
+            packed = {"compress_level": PACKED}
+            figure.savefig(buffer, format="png", dpi=100, metadata={"Software": made_by}, pil_kwargs=packed)
     write_bytes(Path(path), buffer.getvalue())
