@@ -148,7 +148,7 @@ def check_the_result_is_one_undo_step(stage):
 def check_the_window_lives_while_100k_faces_bake(stage):
     scenery.empty_room()
     plate = scenery.plate("Fine plate", cuts=316, size_m=0.2)
-    for k in range(3):
+    for k in range(5):
         scenery.stroke_on(plate, f"Long {k}", 0.06, seconds=2.0, turned=0.4 * k)
     yield 0.5
     yield from scenery.look_at(stage, plate)
