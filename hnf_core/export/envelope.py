@@ -40,6 +40,8 @@ CLICK_SHARE = 0.2
 CLICKS_APART_S = 0.030
 QUIET = 1e-3
 """Share of the largest amplitude below which a frequency means nothing; it is then taken from the neighbours."""
+ROUNDING = 1e-12
+"""Share of the largest sample below which an amplitude is what transforms round: a constant has no frequency."""
 _ROWS = 4096
 
 
@@ -93,7 +95,7 @@ def envelope_of(
     turning = around(np.imag(np.conj(z) * slope), at, half, lambda rows, inside: _mean(rows, inside * shape))
     near = around(np.abs(x), at, max(1, round(REACH_S * rate)), _largest)
     amplitude = np.minimum(np.sqrt(np.maximum(power, 0.0)), near)
-    heard = amplitude > QUIET * amplitude.max(initial=0.0)
+    heard = amplitude > max(QUIET * amplitude.max(initial=0.0), ROUNDING * float(np.abs(x).max()))
     frequency = np.full(len(at), middle)
     if heard.any():
         centroid = turning[heard] / (2.0 * np.pi * power[heard])
