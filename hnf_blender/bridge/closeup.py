@@ -140,7 +140,7 @@ def iter_closeups(
 
     first: side of a first look where all detail is in images; a closer one follows only where those show more than it
     sees. None: no first look. alone: called before Blender is asked for anything, to wait for the caller's threads: an
-    operator lets them run, looks up its context in Python all the same, and Blender crashes. Rays are cast beside them.
+    operator lets them run Python, and Blender crashes. Rays are cast beside them.
     """
     if not patches:
         return

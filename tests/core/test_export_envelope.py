@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from export_signals import signal_of, texture, tone
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -73,7 +73,7 @@ def test_a_lifted_hand_is_silent_between_two_rubs() -> None:
 )
 def test_scaling_scales_the_amplitude_alone(samples: np.ndarray, power: int) -> None:
     factor = 2.0**power
-    assume(np.array_equal(samples * np.float32(factor) / np.float32(factor), samples))  # denormals lose digits
+    samples = samples * np.float32(factor) / np.float32(factor)  # without the digits that denormals lose
     once, twice = (envelope_of(signal_of(samples * np.float32(k)), RANGE) for k in (1.0, factor))
     np.testing.assert_array_equal(once.time, twice.time)
     np.testing.assert_allclose(twice.amplitude, factor * once.amplitude, rtol=1e-9, atol=1e-12 * factor)
