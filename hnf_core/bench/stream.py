@@ -30,6 +30,7 @@ from ..actuators.stream import Stream
 from ..errors import DeviceError
 from .frame import Options, Row, Spread
 from .memory import with_peak
+from .standstill import standstills
 
 NAME = "stream"
 SECONDS_A_REPEAT, QUICK_SECONDS = 120.0, 1.0
@@ -85,7 +86,7 @@ def _with_memory(made: Callable[[], Row]) -> Row:
 def _on_serial(case: Case, seconds: float) -> Row:
     with tempfile.TemporaryDirectory(prefix="hnf-bench-") as folder, _core_busy(case.busy):
         record = Path(folder) / "played.npy"
-        with device(record) as actuator:
+        with device(record) as actuator, standstills() as still:
             try:
                 sink = SerialSink(
                     actuator.port, BAUDRATE, case.rate_hz, case.channels,
@@ -100,18 +101,18 @@ def _on_serial(case: Case, seconds: float) -> Row:
             actuator.end()
         expected = sounding(counts_of(_source(case.rate_hz, case.channels, seconds), form, LIMITS))
         wrong = differing(expected, np.load(record))
-    return _row(case.method, stream, wrong, f", the device's clock slipped by {actuator.slipped} frames")
+    return _row(case.method, stream, wrong, f", the device's clock slipped by {actuator.slipped} frames, {still}")
 
 
 def _on_audio(seconds: float) -> Row:
     method = "sound output, 5 ms blocks"
     try:
-        with Stream(_source(10_000, 1, seconds, SOFT), AudioSink(), SOFTLY) as stream:
+        with standstills() as still, Stream(_source(10_000, 1, seconds, SOFT), AudioSink(), SOFTLY) as stream:
             form = stream.start()
             stream.wait(seconds + _MARGIN_S)
     except DeviceError as error:
         return Row(NAME, method, note=str(error))
-    return _row(f"{method}, {form.rate_hz:g} Hz", stream, None, "")
+    return _row(f"{method}, {form.rate_hz:g} Hz", stream, None, f", {still}")
 
 
 def _row(method: str, stream: Stream, wrong: float | None, more: str) -> Row:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
+import signal
+import time
 
 import numpy as np
 import pytest
@@ -11,6 +14,7 @@ from hypothesis import strategies as st
 
 from hnf_core.bench.frame import Options
 from hnf_core.bench.memory import with_peak
+from hnf_core.bench.standstill import Standstills, ended, standstills, watcher
 from hnf_core.bench.stream import CASES, differing, rows, sounding
 from hnf_core.bench.stream_device import Paced
 
@@ -47,5 +51,34 @@ def test_its_rows_come() -> None:
     assert len(told) == len(found) == len(CASES) + 1
     for row in found[:-1]:
         assert "underruns" in row.note
+        assert "the machine stood still" in row.note
         assert row.error is not None
         assert (row.peak_mb is None) == (with_peak(list)[1] is None)  # where the system does not tell
+
+
+def test_a_core_that_stands_still_is_seen() -> None:
+    with standstills() as found:
+        pass
+    if not found.watched:
+        pytest.skip("no real-time priority on a core of one's own choice is granted here")
+    child = watcher(min(os.sched_getaffinity(0)))
+    while os.sched_getscheduler(child.pid) & ~os.SCHED_RESET_ON_FORK != os.SCHED_FIFO:
+        assert child.poll() is None
+        time.sleep(0.01)
+    for _ in range(3):  # the first may come before it has begun to look
+        time.sleep(0.1)
+        child.send_signal(signal.SIGSTOP)
+        time.sleep(0.05)
+        child.send_signal(signal.SIGCONT)
+    told = ended(child)
+    assert told is not None
+    assert max(told) >= 0.03
+
+
+def test_standstills_are_told_as_they_were_seen() -> None:
+    seen = Standstills()
+    assert str(seen) == "whether the machine stood still is not known"
+    seen.watched = True
+    assert str(seen) == "the machine stood still 0 times for 4 ms or more"
+    seen.lengths_s = [0.005, 0.0121]
+    assert str(seen) == "the machine stood still 2 times for 4 ms or more, 12 ms at most"

@@ -1,0 +1,102 @@
+"""How often the machine itself stood still: on each core a program wakes every millisecond, above all that streams.
+
+What keeps it from waking is no program but the host of a virtual machine, or the kernel: no stream can do anything
+about that, and its underruns should be read beside it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from ..actuators.urgency import PRIORITY
+from .process import ROOT
+
+LEAST_S = 0.004
+"""What is shorter counts for nothing: a stream has more than that in hand."""
+_SLEEP_S = 0.001
+_LEAVE_S = 10.0
+
+
+class Standstills:
+    """lengths_s: of each, on all cores, once the watch has ended. watched: False where this system grants no such
+    program (then there are none to tell of)."""
+
+    def __init__(self) -> None:
+        self.lengths_s: list[float] = []
+        self.watched = False
+
+    def __str__(self) -> str:
+        if not self.watched:
+            return "whether the machine stood still is not known"
+        most = f", {1e3 * max(self.lengths_s):.0f} ms at most" if self.lengths_s else ""
+        return f"the machine stood still {len(self.lengths_s)} times for {1e3 * LEAST_S:.0f} ms or more{most}"
+
+
+@contextmanager
+def standstills() -> Iterator[Standstills]:
+    """Watched from here to the end of the block, on every core that this process may use."""
+    found = Standstills()
+    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+    children = [watcher(core) for core in cores]
+    try:
+        yield found
+    finally:
+        told = [ended(child) for child in children]
+        found.watched = bool(told) and all(each is not None for each in told)
+        found.lengths_s = [length for each in told for length in each or ()]
+
+
+def watcher(core: int) -> subprocess.Popen[str]:
+    """A program that watches one core, to be given to ended()."""
+    return subprocess.Popen(
+        [sys.executable, "-m", __spec__.name, str(core)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        cwd=ROOT,
+    )  # fmt: skip
+
+
+def ended(child: subprocess.Popen[str]) -> list[float] | None:
+    """The lengths [s] that a watcher saw, which leaves; None where it could not watch."""
+    try:
+        said, _ = child.communicate(timeout=_LEAVE_S)  # its input ends: it tells and leaves
+    except subprocess.TimeoutExpired:
+        child.kill()
+        child.communicate()
+        return None
+    return [float(each) for each in json.loads(said)] if child.returncode == 0 else None
+
+
+def _watch(core: int) -> list[float] | None:
+    try:
+        os.sched_setaffinity(0, {core})
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(2 * PRIORITY))
+    except OSError:
+        return None
+    over, lengths = threading.Event(), list[float]()
+
+    def leave() -> None:
+        sys.stdin.read()
+        over.set()
+
+    threading.Thread(target=leave, daemon=True).start()
+    before = time.monotonic()
+    while not over.is_set():
+        time.sleep(_SLEEP_S)
+        now = time.monotonic()
+        if now - before - _SLEEP_S >= LEAST_S:
+            lengths.append(now - before - _SLEEP_S)
+        before = now
+    return lengths
+
+
+if __name__ == "__main__":
+    seen = _watch(int(sys.argv[1]))
+    if seen is None:
+        sys.exit(1)
+    print(json.dumps(seen))
