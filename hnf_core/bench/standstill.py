@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -54,11 +54,14 @@ def standstills() -> Iterator[Standstills]:
 
 
 def watcher(core: int) -> subprocess.Popen[str]:
-    """A program that watches one core, to be given to ended()."""
-    return subprocess.Popen(
+    """A program that watches one core from now on, to be given to ended()."""
+    child = subprocess.Popen(
         [sys.executable, "-m", __spec__.name, str(core)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         cwd=ROOT,
     )  # fmt: skip
+    assert child.stdout is not None
+    child.stdout.readline()  # so that its start is over before anything streams
+    return child
 
 
 def ended(child: subprocess.Popen[str]) -> list[float] | None:
@@ -78,16 +81,11 @@ def _watch(core: int) -> list[float] | None:
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(2 * PRIORITY))
     except OSError:
         return None
-    over, lengths = threading.Event(), list[float]()
-
-    def leave() -> None:
-        sys.stdin.read()
-        over.set()
-
-    threading.Thread(target=leave, daemon=True).start()
+    lengths, over = list[float](), False
+    print("watching", flush=True)
     before = time.monotonic()
-    while not over.is_set():
-        time.sleep(_SLEEP_S)
+    while not over:  # no second thread: this one would wait for it
+        over = bool(select.select([sys.stdin], [], [], _SLEEP_S)[0])
         now = time.monotonic()
         if now - before - _SLEEP_S >= LEAST_S:
             lengths.append(now - before - _SLEEP_S)
