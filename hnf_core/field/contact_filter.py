@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
+from ..kernel.library import kernel
+from ..kernel.press import Given
 from ..material.contact import force_response, height_response
 from ..material.mechanics import Mechanics
 from ..material.probe import PROBES, Probe
@@ -33,6 +35,8 @@ LOADS_PER_OCTAVE = 2
 at worst, 0.02 % in the median (a test holds it)."""
 LIGHTEST_OCTAVE = -6
 """2⁻⁶ N = 16 mN; what presses less answers alike."""
+LASTS = 1e-12
+"""Of a response's energy: what comes after is left out. Half of the library's last 72 ms, the longest 0.26 s."""
 KEPT_RESPONSES = 512
 Contact = tuple[Mechanics, Probe, float]
 """What is touched, with what, at which load [N]."""
@@ -70,21 +74,34 @@ class FilterBank:
         """The same, of the force (n,) [N] that presses at each state, with the cubic B-spline through them.
 
         Spline and response are linear, so each state adds the same curve, at its own place, to all samples about it:
-        a small product of matrices for a block, where a transform would be of all its samples.
+        a small sum for a state, where a transform would be of all its samples.
         """
         first, last = start // SAMPLES_PER_STATE, (start + count - 1) // SAMPLES_PER_STATE
-        near = force[np.clip(np.arange(first - STATES_BEHIND, last + STATES_AHEAD + 1), 0, len(force) - 1)]
+        states, compiled = last + 1 - first, kernel()
+        if compiled is not None:
+            out = self._given.pressed(compiled, force, self.weights, first, states)
+        else:
+            out = self._pressed(force, first, states)
+        return out[start - first * SAMPLES_PER_STATE :][:count]
+
+    def _pressed(self, force: Float, first: int, count: int) -> Float:
+        """In numpy: what the kernel is tested against."""
+        near = force[np.clip(np.arange(first - STATES_BEHIND, first + count + STATES_AHEAD), 0, len(force) - 1)]
+        out = np.zeros((count, SAMPLES_PER_STATE))
         # The responses pass nothing constant on, and most hands press evenly for a while.
         if near.min() == near.max():
-            return np.zeros(count)
-        around = np.ascontiguousarray(sliding_window_view(near, STATES_BEHIND + 1 + STATES_AHEAD))
-        states = np.clip(np.arange(first, last + 2), 0, len(force) - 1)
-        out = np.zeros((last + 1 - first, SAMPLES_PER_STATE))
+            return out.reshape(-1)
+        around = sliding_window_view(near, STATES_BEHIND + 1 + STATES_AHEAD)
+        states = np.clip(np.arange(first, first + count + 1), 0, len(force) - 1)
         for each in self._used(slice(states[0], states[-1] + 1)):
-            weight = self.weights[states, each]
+            table, weight = self._given.tables[each], self.weights[states, each]
             fade = weight[:-1, None] * (1.0 - _SHARE) + weight[1:, None] * _SHARE
-            out += fade * (around @ _given_about(*self.contacts[each]))
-        return out.reshape(-1)[start - first * SAMPLES_PER_STATE :][:count]
+            out += fade * (np.ascontiguousarray(around[:, -len(table) :]) @ table)
+        return out.reshape(-1)
+
+    @cached_property
+    def _given(self) -> Given:
+        return Given([_given_about(*each) for each in self.contacts], STATES_AHEAD)
 
     def _used(self, states: slice) -> NDArray[np.intp]:
         return np.flatnonzero(np.any(self.weights[states] > 0.0, axis=0))
@@ -113,13 +130,15 @@ def filter_bank(mechanics: tuple[Mechanics, ...], material: NDArray[np.int32], f
 
 @lru_cache(maxsize=KEPT_RESPONSES)
 def _given_about(mechanics: Mechanics, probe: Probe, force: float) -> Float:
-    """(STATES_BEHIND + 1 + STATES_AHEAD, SAMPLES_PER_STATE): what 1 N in the states about a state's samples adds to
-    them, the earliest first."""
-    kernel = impulse_response(force_response, mechanics, probe, force)
-    curve = np.fft.irfft(np.fft.rfft(kernel, _GRID) * np.fft.rfft(STATE_CURVE, _GRID), _GRID)
-    whole = np.zeros((STATES_BEHIND + 1 + STATES_AHEAD, SAMPLES_PER_STATE))
+    """(states behind + 1 + STATES_AHEAD, SAMPLES_PER_STATE): what 1 N in the states about a state's samples adds to
+    them, the earliest first; as many behind as the response lasts, STATES_BEHIND at most."""
+    response = impulse_response(force_response, mechanics, probe, force)
+    lasts = int(np.flatnonzero(response)[-1]) + 1 - LEAD
+    curve = np.fft.irfft(np.fft.rfft(response, _GRID) * np.fft.rfft(STATE_CURVE, _GRID), _GRID)
+    behind = (lasts + len(STATE_CURVE) - CURVE_LEAD - 1) // SAMPLES_PER_STATE
+    whole = np.zeros((behind + 1 + STATES_AHEAD, SAMPLES_PER_STATE))
     begin = STATES_AHEAD * SAMPLES_PER_STATE - LEAD - CURVE_LEAD
-    length = LEAD + TAIL + len(STATE_CURVE) - 1
+    length = LEAD + lasts + len(STATE_CURVE) - 1
     whole.reshape(-1)[begin : begin + length] = curve[:length]
     table = np.ascontiguousarray(whole[::-1])
     table.setflags(write=False)
@@ -128,16 +147,21 @@ def _given_about(mechanics: Mechanics, probe: Probe, force: float) -> Float:
 
 @lru_cache(maxsize=KEPT_RESPONSES)
 def impulse_response(response: Response, mechanics: Mechanics, probe: Probe, force: float) -> Float:
-    """(LEAD + TAIL,) samples at the model rate from −LEAD on; no DC, and nothing above 4.8 kHz."""
+    """(LEAD + TAIL,) samples at the model rate from −LEAD on; no DC, no slope, nothing above 4.8 kHz. Zero where less
+    than LASTS of its energy is left."""
     frequency = np.fft.rfftfreq(_GRID, 1.0 / MODEL_RATE_HZ)
     taper = 0.5 + 0.5 * np.cos(np.pi * np.clip((frequency - 4000.0) / 800.0, 0.0, 1.0))
-    kernel = np.roll(np.fft.irfft(response(frequency, mechanics, probe, force) * taper, _GRID), LEAD)[: LEAD + TAIL]
+    kept = np.roll(np.fft.irfft(response(frequency, mechanics, probe, force) * taper, _GRID), LEAD)[: LEAD + TAIL]
     window = np.ones(LEAD + TAIL)
     window[:LEAD] = 0.5 - 0.5 * np.cos(np.pi * (np.arange(LEAD) + 0.5) / LEAD)
     fade = TAIL // 4
     window[-fade:] = 0.5 + 0.5 * np.cos(np.pi * (np.arange(fade) + 0.5) / fade)
-    kernel = kernel * window
-    # A constant force or height must give exactly nothing, also after the cut.
-    kernel = kernel - window * (kernel.sum() / window.sum())
-    kernel.setflags(write=False)
-    return np.asarray(kernel)
+    kept = kept * window
+    left = np.cumsum(np.square(kept[::-1]))[::-1]
+    window[left < LASTS * left[0]] = 0.0
+    kept = kept * (window > 0.0)
+    # What is constant must give nothing, also after the cut, and what rises evenly too: the mass follows it at rest.
+    steady = np.stack([np.ones(LEAD + TAIL), (np.arange(LEAD + TAIL) - LEAD) / TAIL])
+    kept = kept - window * (np.linalg.solve((steady * window) @ steady.T, steady @ kept) @ steady)
+    kept.setflags(write=False)
+    return np.asarray(kept)

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-ABI = 5
+ABI = 6
 """hnf_kernel.h's HNF_ABI: another one has other functions."""
 SWITCH = "HNF_KERNEL"
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
@@ -29,6 +29,9 @@ _Integer, _Word, _Number, _Pointer = ctypes.c_int64, ctypes.c_uint64, ctypes.c_d
 _SIGNATURES = {
     "hnf_hop": (
         _Pointer, _Pointer, _Integer, _Pointer, _Pointer, _Pointer, _Pointer, _Integer, _Pointer, _Pointer,
+    ),
+    "hnf_press": (
+        _Pointer, _Integer, _Pointer, _Integer, _Pointer, _Pointer, _Integer, _Integer, _Integer, _Integer, _Pointer,
     ),
     "hnf_place": (_Pointer, _Integer, _Integer, _Integer, _Integer, _Pointer),
     "hnf_read_arcs": (

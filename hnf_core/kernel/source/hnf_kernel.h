@@ -15,7 +15,7 @@
 #endif
 
 /* Raised whenever a signature or a meaning changes; library.py asks. */
-#define HNF_ABI 5
+#define HNF_ABI 6
 
 typedef struct { float re, im; } hnf_complex;
 
@@ -138,6 +138,11 @@ HNF_EXPORT void hnf_layers(const float *const *weights, const float *const *bias
 /* place.c */
 HNF_EXPORT void hnf_place(const double *position, int64_t states, int64_t samples_per_state, int64_t start,
                           int64_t count, double *out);
+
+/* press.c */
+HNF_EXPORT void hnf_press(const double *force, int64_t states, const double *weight, int64_t contacts,
+                          const double *const *given, const int64_t *rows, int64_t ahead, int64_t samples,
+                          int64_t first, int64_t count, double *out);
 
 /* rows.c */
 HNF_EXPORT void hnf_add_rows(const double *values, int64_t width, const int64_t *row, const double *share,
