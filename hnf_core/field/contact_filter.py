@@ -79,7 +79,10 @@ class FilterBank:
         first, last = start // SAMPLES_PER_STATE, (start + count - 1) // SAMPLES_PER_STATE
         states, compiled = last + 1 - first, kernel()
         if compiled is not None:
-            out = self._given.pressed(compiled, force, self.weights, first, states)
+            low = min(max(first - STATES_BEHIND, 0), len(force) - 1)
+            near = slice(low, max(first + states + STATES_AHEAD + 1, low + 1))
+            pressed, weights = np.ascontiguousarray(force[near]), np.ascontiguousarray(self.weights[near])
+            out = self._given.pressed(compiled, pressed, weights, first - low, states)
         else:
             out = self._pressed(force, first, states)
         return out[start - first * SAMPLES_PER_STATE :][:count]

@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..blas import one_blas_thread
+from .audible import blocks_of
 from .contact_filter import LEAD, TAIL
 from .field import Field
 from .modulation import states_read
 from .noise_ahead import noise_ahead
 from .stroke import StrokeInput, Synthesis
-from .synthesis import Prepared, blocks_of, described, prepare, render_block
+from .synthesis import Prepared, described, prepare, render_block
 from .timeline import SAMPLES_PER_STATE, states_of
 
 Float = NDArray[np.float64]

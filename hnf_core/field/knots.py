@@ -20,12 +20,16 @@ class Knots:
     at: Samples
     amplitude: NDArray[np.floating[Any]]
 
-    def around(self, first: int, last: int) -> Knots:
-        """Those that say what happens at samples first … last, in float32."""
+    def rows(self, first: int, last: int) -> slice:
+        """Those that say what happens at samples first … last, two at least."""
         low = max(int(np.searchsorted(self.at, first, side="right")) - 1, 0)
         high = min(int(np.searchsorted(self.at, last, side="left")) + 1, len(self.at))
-        low, high = min(low, len(self.at) - 2), max(high, 2)
-        return Knots(self.at[low:high], np.ascontiguousarray(self.amplitude[low:high], dtype=np.float32))
+        return slice(min(low, len(self.at) - 2), max(high, 2))
+
+    def around(self, first: int, last: int) -> Knots:
+        """Those rows alone, in float32."""
+        rows = self.rows(first, last)
+        return Knots(self.at[rows], np.ascontiguousarray(self.amplitude[rows], dtype=np.float32))
 
     def of(self, carriers: slice) -> Knots:
         return Knots(self.at, self.amplitude[:, carriers])

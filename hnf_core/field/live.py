@@ -26,6 +26,7 @@ from ..errors import UsageError
 from ..material.mechanics import Mechanics, beyond_limits
 from ..material.probe import PROBES
 from ..material.token import LARGEST_VALUE, TOKEN_DIM
+from .audible import AFTER_CONTACT_S
 from .carriers import ARC_PER_OCTAVE, MODEL_RATE_HZ
 from .field import Field
 from .linear_contact import BAND_END_HZ
@@ -34,7 +35,6 @@ from .live_contact import LivePressing
 from .live_emission import LiveEmission
 from .live_noise import LiveNoise
 from .live_state import LiveState
-from .synthesis import AFTER_CONTACT_S
 from .timeline import SAMPLES_PER_STATE
 
 Float = NDArray[np.float64]

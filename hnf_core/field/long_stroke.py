@@ -16,22 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..action.action import ACTION_RATE_HZ, Action
-from ..blas import one_blas_thread
 from ..errors import UsageError
+from .audible import AFTER_CONTACT_S, BEFORE_CONTACT_S, BLOCK
 from .contact_filter import LEAD, TAIL
 from .field import Field
 from .hops import HOP
 from .noise_ahead import noise_ahead
 from .stroke import StrokeInput
-from .synthesis import (
-    AFTER_CONTACT_S,
-    BEFORE_CONTACT_S,
-    BLOCK,
-    STATES_AT_ONCE,
-    memory,
-    prepare,
-    render_block,
-)
+from .synthesis import STATES_AT_ONCE, memory, prepare, rendered
 from .timeline import SAMPLES_PER_STATE, sample_count, states_of
 
 Float = NDArray[np.float64]
@@ -81,11 +73,8 @@ def portions(
         piece = StrokeInput(_states(action, rows), stroke.tokens, stroke.mechanics, token_index[rows])
         with noise_ahead(field.config, seed, piece.action, origin):
             prepared = replace(prepare(field, piece, seed=seed, tolerance=tolerance), origin=origin)
-        with one_blas_thread():
-            blocks = [
-                render_block(prepared, first - origin, min(BLOCK, stop - first)) for first in range(start, stop, BLOCK)
-            ]
-        yield Portion(np.concatenate(blocks), float(prepared.loudest.max(initial=0.0)), prepared.missed)
+        samples = rendered(prepared, start - origin, stop - origin)
+        yield Portion(samples, float(prepared.loudest.max(initial=0.0)), prepared.missed)
 
 
 def _rows(field: Field, start: int, stop: int, states: int) -> slice:

@@ -1,4 +1,4 @@
-"""The carriers at the full rate in float64, band by band: slow, plain, and what texture.texture_hop is tested against.
+"""The carriers at the full rate in float64, band by band: slow, plain, and what texture.texture_hops is tested against.
 
 Also the one way for heads of one state, whose carriers lag.
 """

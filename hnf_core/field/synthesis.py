@@ -18,6 +18,7 @@ from ..material.contact import tip_response
 from ..material.probe import PROBES
 from ..signal import Signal
 from .adaptive import accumulated, sample_emission
+from .audible import audible_gain, blocks_of, heard_blocks
 from .carriers import MODEL_RATE_HZ, Carriers
 from .contact_filter import LEAD, TAIL, FilterBank, filter_bank
 from .extrapolation import at_ceiling, examine
@@ -31,7 +32,7 @@ from .plain import plain_texture, position, position_beyond
 from .profile import ProfileBands, share_power, split_profile
 from .resampling import resample
 from .stroke import StrokeInput, Synthesis
-from .texture import REACH, texture_hop
+from .texture import REACH, texture_hops
 from .timeline import (
     SAMPLES_PER_STATE,
     action_at,
@@ -46,12 +47,8 @@ from .turns import turns
 Float = NDArray[np.float64]
 Evaluate = Callable[[Field, Condition], Emission]
 
-BLOCK = HOP
-"""Samples rendered at once: bounds memory, and how much a small change costs; the last bit depends on it."""
 STATES_AT_ONCE = 128
 """States evaluated at once, likewise."""
-BEFORE_CONTACT_S, AFTER_CONTACT_S = 0.02, 0.06
-"""Beyond these distances from contact the signal is exactly zero."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +184,7 @@ def prepare(
     if earlier is not None and np.array_equal(action.contact, earlier.action.contact):
         audible = earlier.audible
     else:
-        audible = _audible(action.contact, sample_count(action))
+        audible = audible_gain(action.contact, sample_count(action))
     return Prepared(
         carriers, seed, action, amplitude, filter_bank(stroke.mechanics, token_index, pressed, action.probe), pressed,
         audible, bands, profile_amplitude, loudest, unheld,
@@ -236,8 +233,8 @@ def _prepare_within(
     bank = filter_bank(stroke.mechanics, token_index, pressed, action.probe)
     loudest = np.atleast_1d(np.max(sampled.emission.alpha, initial=0.0))
     return Prepared(
-        carriers, seed, action, amplitude[:, None, :], bank, pressed, _audible(action.contact, count), loudest=loudest,
-        knots=knots, missed=sampled.missed,
+        carriers, seed, action, amplitude[:, None, :], bank, pressed, audible_gain(action.contact, count),
+        loudest=loudest, knots=knots, missed=sampled.missed,
     )  # fmt: skip
 
 
@@ -280,11 +277,6 @@ def amplitudes(field: Field, condition: Condition, rows: slice) -> Float:
     return accumulate(field.config, evaluate(field, part))[rows.start - first :]
 
 
-def blocks_of(count: int) -> list[tuple[int, int]]:
-    """(start, length) of the blocks in which count samples are rendered."""
-    return [(start, min(BLOCK, count - start)) for start in range(0, count, BLOCK)]
-
-
 def reading_frequency(action: Action, carriers: Carriers) -> Float:
     """(n, Ka) Hz at which each arc band is read: κ · |ds/dt|, by the fastest motion within two states.
 
@@ -293,11 +285,14 @@ def reading_frequency(action: Action, carriers: Carriers) -> Float:
     return np.asarray(fastest(action)[:, None] * carriers.arc_centres())
 
 
-def rendered(prepared: Prepared) -> Float:
-    """(count,) all of it."""
+def rendered(prepared: Prepared, start: int = 0, stop: int | None = None) -> Float:
+    """Samples start … stop − 1, all of them where nothing is said, (stop − start,)."""
+    stop = prepared.count if stop is None else stop
+    out = np.zeros(stop - start)
     with one_blas_thread():
-        blocks = [render_block(prepared, *block) for block in blocks_of(prepared.count)]
-    return np.concatenate(blocks) if blocks else np.zeros(0)
+        for first, count in heard_blocks(prepared.audible[start:stop]):
+            out[first : first + count] = render_block(prepared, start + first, count)
+    return out
 
 
 def render_block(prepared: Prepared, start: int, count: int) -> Float:
@@ -316,26 +311,30 @@ def texture_term(prepared: Prepared, start: int, count: int) -> Float:
     at = prepared.knots
     if at is None:
         at = SAMPLES_PER_STATE * np.arange(len(prepared.amplitude))
-    knots, out = Knots(at + origin, prepared.amplitude[:, 0]), np.empty(count)
-    for hop in range((origin + start) // HOP, (origin + start + count - 1) // HOP + 1):
-        first = hop * HOP - origin
-        samples = texture_hop(knots, carriers, seed, position_beyond(action, first - REACH, HOP + 2 * REACH), hop)
-        low, high = max(start, first), min(start + count, first + HOP)
-        out[low - start : high - start] = samples[low - first : high - first]
-    return out
+    knots, first = Knots(at + origin, prepared.amplitude[:, 0]), (origin + start) // HOP
+    hops = range(first, (origin + start + count - 1) // HOP + 1)
+    place = position_beyond(action, first * HOP - origin - REACH, len(hops) * HOP + 2 * REACH)
+    begin = origin + start - first * HOP
+    return texture_hops(knots, carriers, seed, place, hops)[begin : begin + count]
 
 
 def contact_term(prepared: Prepared, start: int, count: int) -> Float:
     """Pressing: onset, release and dF/dt through the contact, also at v = 0; and the profile under the path."""
     out = prepared.bank.force_term(prepared.force, start, count)
-    if prepared.bands is not None and prepared.profile_amplitude is not None:
-        first, many = start - TAIL, TAIL + count + LEAD
-        height = arc_term(
-            prepared.profile_amplitude, prepared.carriers, prepared.bands.source,
-            position(prepared.action, first, many), first,
-        )  # fmt: skip
-        out += prepared.bank.height_term(height, start)
+    for at, many in blocks_of(count):
+        out[at : at + many] += _profile_term(prepared, start + at, many)
     return out
+
+
+def _profile_term(prepared: Prepared, start: int, count: int) -> Float | float:
+    if prepared.bands is None or prepared.profile_amplitude is None:
+        return 0.0
+    first, many = start - TAIL, TAIL + count + LEAD
+    height = arc_term(
+        prepared.profile_amplitude, prepared.carriers, prepared.bands.source,
+        position(prepared.action, first, many), first,
+    )  # fmt: skip
+    return prepared.bank.height_term(height, start)
 
 
 def held(amplitude: Float, sliding: NDArray[np.bool_]) -> Float:
@@ -363,24 +362,4 @@ def _tip(condition: Condition, carriers: Carriers) -> Float:
         rows = np.flatnonzero((condition.material == index) & condition.contact & (condition.force > 0.0))
         force = np.maximum(condition.force[rows], FORCE_FLOOR_N)[:, None]
         out[rows] = tip_response(carriers.arc_centres(), mechanics, PROBES[condition.probe], force)
-    return out
-
-
-def _audible(contact: NDArray[np.bool_], count: int) -> Float:
-    """1 in contact, fading to exactly 0 at BEFORE_CONTACT_S ahead of it and AFTER_CONTACT_S behind it."""
-    indices = np.flatnonzero(contact)
-    if len(indices) == 0:
-        return np.zeros(count)
-    touched = contact.astype(bool)
-    # 1 throughout between two states of which one touches; the rest is far from most of a stroke.
-    out = np.repeat((touched[:-1] | touched[1:]).astype(np.float64), SAMPLES_PER_STATE)[:count]
-    sample = np.flatnonzero(out == 0.0)
-    state = sample / SAMPLES_PER_STATE
-    following = np.searchsorted(indices, state)
-    ahead = np.where(following < len(indices), indices[np.minimum(following, len(indices) - 1)] - state, np.inf)
-    behind = np.where(following > 0, state - indices[np.maximum(following - 1, 0)], np.inf)
-    per_state = SAMPLES_PER_STATE / MODEL_RATE_HZ
-    ahead, behind = np.maximum(ahead - 1.0, 0.0) * per_state, np.maximum(behind - 1.0, 0.0) * per_state
-    fade = np.maximum(1.0 - ahead / BEFORE_CONTACT_S, 1.0 - behind / AFTER_CONTACT_S)
-    out[sample] = np.sin(0.5 * np.pi * np.clip(fade, 0.0, 1.0)) ** 2
     return out

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator
-from ctypes import CDLL
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -48,18 +47,43 @@ _ROWS = 48
 """Knots whose bands are summed at once: a sample needs two of the sums."""
 
 
-def texture_hop(knots: Knots, carriers: Carriers, seed: int, place: Float, hop: int) -> Float:
-    """Σ_k A_k(t) c_k over the carriers in time and in arc length, samples hop · HOP … + HOP − 1, (HOP,).
+def texture_hops(knots: Knots, carriers: Carriers, seed: int, place: Float, hops: range) -> Float:
+    """Σ_k A_k(t) c_k over the carriers in time and in arc length, samples of neighbouring hops, (n · HOP,); hop h has
+    samples h · HOP … + HOP − 1, and is the same whatever is asked for beside it.
 
-    place: (REACH + HOP + REACH,) s [m] from REACH samples before the hop on. At most −57 dB of what is rendered
-    are wrong where amplitudes take 20 ms to change, −50 dB where they jump from state to state.
+    place: (REACH + n · HOP + REACH,) s [m] from REACH samples before the first hop on. At most −57 dB of what is
+    rendered are wrong where amplitudes take 20 ms to change, −50 dB where they jump from state to state.
     """
+    compiled = kernel()
+    if compiled is None:
+        found = [_hop(knots, carriers, seed, _about(place, hop - hops.start), hop) for hop in hops]
+        return np.concatenate(found)
+    begin = hops.start * HOP - REACH
+    near = knots.around(begin, begin + len(place))
+    sounds = near.amplitude[:, carriers.time_slice].any(axis=1)
+    return kernel_hop.hops(
+        compiled, hop_tables(carriers), near.at, near.amplitude, hops.start * HOP, np.ascontiguousarray(place),
+        [time_hop(carriers, seed, hop) if _sounds(near, sounds, hop) else None for hop in hops],
+        lambda octave, number: arc_hop(carriers, seed, octave, number),
+    )  # fmt: skip
+
+
+def _about(place: Float, hop: int) -> Float:
+    """Of the places of all hops, those of one."""
+    return place[hop * HOP : (hop + 1) * HOP + 2 * REACH]
+
+
+def _sounds(knots: Knots, loud: NDArray[np.bool_], hop: int) -> bool:
+    """Whether any of the knots that say what happens in a hop is loud (m,)."""
+    begin = hop * HOP - REACH
+    return bool(loud[knots.rows(begin, begin + HOP + 2 * REACH)].any())
+
+
+def _hop(knots: Knots, carriers: Carriers, seed: int, place: Float, hop: int) -> Float:
+    """In numpy: what the kernel is tested against."""
     first = hop * HOP
     begin = first - REACH
     near = knots.around(begin, begin + len(place))
-    compiled = kernel()
-    if compiled is not None:
-        return _compiled_hop(compiled, near, carriers, seed, place, hop)
     when = _When(begin, *near.between(begin + np.arange(len(place))))
     rates = _Rates(first)
     if carriers.time_count and np.any(near.amplitude[:, carriers.time_slice]):
@@ -189,15 +213,6 @@ def _in_arc(near: Knots, carriers: Carriers, seed: int, octaves: list[int], plac
     turn = at * (MIDDLE / ARC_CELLS)
     angle = (2.0 * np.pi * (turn - np.floor(turn))).astype(np.float32)
     return np.asarray((out.real * np.cos(angle) - out.imag * np.sin(angle)).sum(axis=0))
-
-
-def _compiled_hop(compiled: CDLL, near: Knots, carriers: Carriers, seed: int, place: Float, hop: int) -> Float:
-    sounds = carriers.time_count and np.any(near.amplitude[:, carriers.time_slice])
-    return kernel_hop.hop(
-        compiled, hop_tables(carriers), near.at, near.amplitude, hop * HOP, np.ascontiguousarray(place),
-        time_hop(carriers, seed, hop) if sounds else None,
-        lambda octave, number: arc_hop(carriers, seed, octave, number),
-    )  # fmt: skip
 
 
 @lru_cache(maxsize=8)

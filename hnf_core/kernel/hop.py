@@ -1,4 +1,4 @@
-"""Compiled: a hop of the carriers, modulated (its twin in numpy is texture_hop in field/texture.py), what a live hand
+"""Compiled: hops of the carriers, modulated (their twin in numpy is texture_hops in field/texture.py), what a live hand
 reads of them between two states (field/live_arc.py), and where the hand is between states (field/plain.py)."""
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .halves import in_halves
 from .library import address, pointers, rows
 
 Float = NDArray[np.float64]
@@ -26,8 +27,10 @@ _READING = 8
 """Numbers of an hnf_reading."""
 _FIRST_CELL, _LAST_CELL, _PIECE = 4, 5, 6
 _FARTHEST_CELL = 2.0**52
-_ROOM = 64
-"""Readings that are expected: one for each octave where a hand does not jump."""
+_ROOM = 16
+"""Readings of a hop that are expected: one for each octave where a hand does not jump."""
+HALF = 2
+"""Hops that are worth a thread of their own."""
 
 
 class Piece(NamedTuple):
@@ -95,32 +98,41 @@ class HopTables:
         )  # fmt: skip
 
 
-def hop(
+def hops(
     kernel: ctypes.CDLL, tables: HopTables, at: Integers, amplitude: Float32, first: int, place: Float,
-    waves: Sequence[Float32] | None, piece: Callable[[int, int], Piece],
+    waves: Sequence[Sequence[Float32] | None], piece: Callable[[int, int], Piece],
 ) -> Float:  # fmt: skip
-    """(hop,) Σ_k A_k c_k from sample `first` on.
+    """(n · hop,) Σ_k A_k c_k from sample `first` on, in n hops, each as it is alone.
 
-    at: (m,) ascending; amplitude: (m, K) there. place: (reach + hop + reach,) s [m]. waves: per level (bands, samples)
-    of the carriers in time; None where they are silent. piece: (octave, number) → its cells. Raises ValueError where
-    these do not fit, or a place is not finite.
+    at: (m,) ascending; amplitude: (m, K) there. place: (reach + n · hop + reach,) s [m]. waves: of each hop, per level
+    (bands, samples) of the carriers in time; None where they are silent. piece: (octave, number) → its cells. Raises
+    ValueError where these do not fit, or a place is not finite.
     """
     _extent(tables, place)
-    if len(place) != tables.hop + 2 * tables.reach or not 2 <= len(at) == len(amplitude):
+    count = len(waves)
+    if len(place) != count * tables.hop + 2 * tables.reach or not 2 <= len(at) == len(amplitude):
         raise ValueError(f"{len(place)} places, {len(at)} knots and {len(amplitude)} rows of amplitudes")
     if amplitude.shape[1] < tables.columns:
         raise ValueError(f"amplitudes of {amplitude.shape[1]} carriers, of which {tables.columns} are read")
     knots = _Knots(address(at, np.int64), *_of_rows(amplitude))
-    given = ctypes.byref(tables.struct), ctypes.byref(knots), first, address(place, np.float64)
-    readings = _planned(kernel, given)
+    shared = ctypes.byref(tables.struct), ctypes.byref(knots)
+    readings, counts = _planned(kernel, shared, first, count, place)
     table = _gathered(tables, readings, piece)
+    in_time = [_waves(tables, each) for each in waves]
+    pieces = pointers([each.address for each in table])
     cells = int((readings[:, _LAST_CELL] - readings[:, _FIRST_CELL]).max(initial=0)) + 1
-    scratch, out = np.empty(3 * sum(tables.kept) + 2 * cells), np.empty(tables.hop)
-    kernel.hnf_hop(
-        *given, None if waves is None else _waves(tables, waves), pointers([each.address for each in table]),
-        address(readings, np.int64), len(readings), address(scratch, np.float64), address(out, np.float64),
-    )  # fmt: skip
-    return out
+    begun, out = np.concatenate([[0], np.cumsum(counts)]), np.empty((count, tables.hop))
+
+    def part(low: int, high: int) -> None:
+        scratch = np.empty(3 * sum(tables.kept) + 2 * cells)
+        kernel.hnf_hops(
+            *shared, first + low * tables.hop, high - low, address(place[low * tables.hop :], np.float64),
+            b"".join(in_time[low:high]), pieces, address(readings[begun[low] :], np.int64),
+            address(counts[low:], np.int64), address(scratch, np.float64), address(out[low:], np.float64),
+        )  # fmt: skip
+
+    in_halves(part, count, HALF)
+    return out.reshape(-1)
 
 
 class ArcReader:
@@ -174,14 +186,22 @@ def _extent(tables: HopTables, place: Float) -> tuple[float, float]:
     return least, most
 
 
-def _planned(kernel: ctypes.CDLL, given: tuple[Any, ...]) -> Integers:
-    room = _ROOM
+def _planned(
+    kernel: ctypes.CDLL, shared: tuple[Any, Any], first: int, count: int, place: Float
+) -> tuple[Integers, Integers]:
+    """Readings of all hops, and how many each has."""
+    room, counts = _ROOM * count, np.empty(count, dtype=np.int64)
     while True:
         readings = np.empty((room, _READING), dtype=np.int64)
-        count = int(kernel.hnf_plan_hop(*given, room, address(readings, np.int64)))
-        if count <= room:
-            return readings[:count]
-        room = count
+        found = int(
+            kernel.hnf_plan_hops(
+                *shared, first, count, address(place, np.float64), room, address(readings, np.int64),
+                address(counts, np.int64),
+            )
+        )  # fmt: skip
+        if found <= room:
+            return readings[:found], counts
+        room = found
 
 
 def _gathered(tables: HopTables, readings: Integers, piece: Callable[[int, int], Piece]) -> list[Piece]:
@@ -202,7 +222,9 @@ def _checked(tables: HopTables, piece: Piece) -> Piece:
     return piece
 
 
-def _waves(tables: HopTables, waves: Sequence[Float32]) -> bytes:
+def _waves(tables: HopTables, waves: Sequence[Float32] | None) -> bytes:
+    if waves is None:
+        return bytes(tables.levels * struct.calcsize("P"))
     shapes = [each.shape for each in waves]
     if shapes != list(zip(tables.time_bands, tables.kept, strict=True)):
         raise ValueError(f"carriers in time of {shapes}")

@@ -27,9 +27,10 @@ SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 
 _Integer, _Word, _Number, _Pointer = ctypes.c_int64, ctypes.c_uint64, ctypes.c_double, ctypes.c_void_p
 _SIGNATURES = {
-    "hnf_hop": (
-        _Pointer, _Pointer, _Integer, _Pointer, _Pointer, _Pointer, _Pointer, _Integer, _Pointer, _Pointer,
+    "hnf_hops": (
+        _Pointer, _Pointer, _Integer, _Integer, _Pointer, _Pointer, _Pointer, _Pointer, _Pointer, _Pointer, _Pointer,
     ),
+    "hnf_plan_hops": (_Pointer, _Pointer, _Integer, _Integer, _Pointer, _Integer, _Pointer, _Pointer),
     "hnf_press": (
         _Pointer, _Integer, _Pointer, _Integer, _Pointer, _Pointer, _Integer, _Integer, _Integer, _Integer, _Pointer,
     ),
@@ -127,6 +128,5 @@ def _load(path: Path) -> ctypes.CDLL:
     for name, arguments in _SIGNATURES.items():
         function = getattr(library, name)
         function.restype, function.argtypes = None, arguments
-    library.hnf_plan_hop.restype = _Integer
-    library.hnf_plan_hop.argtypes = (_Pointer, _Pointer, _Integer, _Pointer, _Integer, _Pointer)
+    library.hnf_plan_hops.restype = _Integer
     return library

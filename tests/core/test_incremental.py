@@ -10,10 +10,11 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from hnf_core.action.action import Action
+from hnf_core.field.audible import BLOCK
 from hnf_core.field.contact_filter import LEAD, LOADS_PER_OCTAVE, TAIL, filter_bank, impulse_response
 from hnf_core.field.incremental import Rendered, Superseded, render
 from hnf_core.field.stroke import HeightProfile, StrokeInput
-from hnf_core.field.synthesis import BLOCK, synthesise
+from hnf_core.field.synthesis import synthesise
 from hnf_core.field.timeline import SAMPLES_PER_STATE, smooth
 from hnf_core.field.weights import load_field
 from hnf_core.material.contact import force_response, height_response

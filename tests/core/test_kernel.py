@@ -6,6 +6,7 @@ import importlib.util
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -25,11 +26,11 @@ from hnf_core.field.linear_contact import linear_contact
 from hnf_core.field.noise import band_bins, bins_of, crossfade_window
 from hnf_core.field.plain import position_beyond
 from hnf_core.field.synthesis import prepare, rendered
-from hnf_core.field.texture import REACH, texture_hop
+from hnf_core.field.texture import REACH, texture_hops
 from hnf_core.field.timeline import action_at, condition_of, states_of
 from hnf_core.field.weights import load_field
+from hnf_core.kernel import halves, library
 from hnf_core.kernel import hop as kernel_hop
-from hnf_core.kernel import library
 from hnf_core.kernel.contact import FEATURES, TOUCH, Tables, add_rows
 from hnf_core.kernel.contact import linear_contact as compiled_contact
 from hnf_core.kernel.hop import ArcReader, HopTables, Piece
@@ -71,14 +72,55 @@ def test_a_hop_is_the_one_that_numpy_reads(seed, speed, spacing):
     hop = int(rng.integers(-50, 50))
     knots = Knots(at + hop * HOP - REACH, amplitude)
     forget_carriers()
-    found = texture_hop(knots, CARRIERS, seed, place, hop)
+    found = texture_hops(knots, CARRIERS, seed, place, range(hop, hop + 1))
     with plainly():
-        read_plainly = texture_hop(knots, CARRIERS, seed, place, hop)
+        read_plainly = texture_hops(knots, CARRIERS, seed, place, range(hop, hop + 1))
         forget_carriers()
-        wanted = texture_hop(knots, CARRIERS, seed, place, hop)
+        wanted = texture_hops(knots, CARRIERS, seed, place, range(hop, hop + 1))
     assert np.std(wanted) > 0.01
     assert level_db(found, read_plainly) < -120.0
     assert level_db(found, wanted) < -115.0
+
+
+@needs_kernel
+@pytest.mark.parametrize("cores", [1, 2])
+def test_hops_in_a_row_are_what_each_is_alone(monkeypatch, cores):
+    """Bit for bit, on one core and on two; knots far apart and close by, a silent stretch, a hand that jumps."""
+    monkeypatch.setattr(halves, "cores", lambda: cores)
+    rng, hops = np.random.default_rng(8), range(-2, 5)
+    at = np.cumsum(np.where(np.arange(400) % 100 < 50, rng.integers(1, 40, 400), rng.integers(60, 130, 400)))
+    amplitude = rng.uniform(0.0, 1.0, (len(at), CARRIERS.count))
+    amplitude[200:330] = 0.0
+    knots = Knots(at - 3 * HOP, amplitude)
+    place = 0.2 * np.sin(np.arange(len(hops) * HOP + 2 * REACH) / 4e3)
+    place[3 * HOP :] += 5.0
+    found = texture_hops(knots, CARRIERS, 5, place, hops).reshape(len(hops), HOP)
+    for row, hop in zip(found, hops, strict=True):
+        about = place[(hop - hops.start) * HOP :][: HOP + 2 * REACH]
+        np.testing.assert_array_equal(row, texture_hops(knots, CARRIERS, 5, about, range(hop, hop + 1)))
+    assert np.std(found[0]) > 0.01
+    assert not found[2].any()
+
+
+@pytest.mark.parametrize(("cores", "count", "threads"), [(1, 9, 1), (2, 9, 2), (2, 5, 1), (2, 0, 1)])
+def test_halves_are_all_of_it_and_tell_what_went_wrong(monkeypatch, cores, count, threads):
+    monkeypatch.setattr(halves, "cores", lambda: cores)
+    done, who = np.zeros(count), set()
+
+    def work(low, high):
+        who.add(threading.current_thread())
+        done[low:high] += 1.0
+        if high == 9 and count == 9 and failing:
+            raise ValueError("the later half")
+
+    failing = False
+    halves.in_halves(work, count, 3)
+    assert (done == 1.0).all()
+    assert len(who) == threads
+    failing = True
+    if count == 9:
+        with pytest.raises(ValueError, match="later half"):
+            halves.in_halves(work, count, 3)
 
 
 @needs_kernel
@@ -227,7 +269,7 @@ def test_a_hop_that_it_would_misread_never_reaches_it():
     place, waves = np.linspace(0.0, 0.05, HOP + 2 * REACH), time_hop(CARRIERS, 1, 0)
 
     def asked(at=at, amplitude=amplitude, place=place, waves=waves, kernel=none, piece=None):
-        return kernel_hop.hop(kernel, tables, at, amplitude, 0, place, waves, piece or (lambda octave, number: None))
+        return kernel_hop.hops(kernel, tables, at, amplitude, 0, place, [waves], piece or (lambda octave, number: None))
 
     for wrong, error in (
         ({"at": at.astype(np.int32)}, TypeError), ({"at": at[:1], "amplitude": amplitude[:1]}, ValueError),
@@ -284,9 +326,9 @@ def test_a_hand_that_jumps_asks_for_no_more_cells_than_it_can_sound():
         for each in where:
             place[each + 1 :] += 1e3
         knots = Knots(at - 60, amplitude)
-        found = texture_hop(knots, CARRIERS, 5, place, 0)
+        found = texture_hops(knots, CARRIERS, 5, place, range(1))
         with plainly():
-            wanted = texture_hop(knots, CARRIERS, 5, place, 0)
+            wanted = texture_hops(knots, CARRIERS, 5, place, range(1))
         assert np.std(found - wanted) < 1e-6 * np.std(wanted)
 
 

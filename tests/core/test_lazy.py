@@ -14,10 +14,10 @@ from hnf_core.action.action import ACTION_RATE_HZ
 from hnf_core.bench.scale import counted_states, scrape
 from hnf_core.field import synthesis
 from hnf_core.field.adaptive import FINEST
+from hnf_core.field.audible import AFTER_CONTACT_S, BLOCK
 from hnf_core.field.carriers import MODEL_RATE_HZ
 from hnf_core.field.long_stroke import portions
 from hnf_core.field.stroke import HeightProfile
-from hnf_core.field.synthesis import AFTER_CONTACT_S, BLOCK
 from hnf_core.field.timeline import SAMPLES_PER_STATE
 from hnf_core.field.weights import load_field
 

@@ -16,7 +16,7 @@ from hnf_core.field.hops import ARC_HOP, CELL, HOP, MARGINS, MIDDLE, arc_hop, ti
 from hnf_core.field.knots import Knots
 from hnf_core.field.noise import band_bins, band_spectra, bins_of, normal_block
 from hnf_core.field.plain import plain_texture, position_beyond
-from hnf_core.field.texture import REACH, texture_hop
+from hnf_core.field.texture import REACH, texture_hops
 from hnf_core.field.timeline import SAMPLES_PER_STATE
 from hnf_core.kernel.library import plainly
 
@@ -46,8 +46,8 @@ def wandering(seed: int, seconds: float, fastest: float, states: int = 4) -> tup
 
 
 def fast(knots: Knots, action: Action, seed: int, hops: range) -> np.ndarray:
-    places = [position_beyond(action, hop * HOP - REACH, HOP + 2 * REACH) for hop in hops]
-    return np.concatenate([texture_hop(knots, CARRIERS, seed, p, hop) for p, hop in zip(places, hops, strict=True)])
+    place = position_beyond(action, hops.start * HOP - REACH, len(hops) * HOP + 2 * REACH)
+    return texture_hops(knots, CARRIERS, seed, place, hops)
 
 
 def states(amplitude: np.ndarray) -> Knots:

@@ -66,11 +66,11 @@ HNF_EXPORT void hnf_read_arcs(const hnf_carriers *carriers, const float *amplitu
                               double *scratch, float *out);
 
 /* hop.c */
-HNF_EXPORT int64_t hnf_plan_hop(const hnf_carriers *carriers, const hnf_knots *knots, int64_t first,
-                                const double *place, int64_t room, hnf_reading *out);
-HNF_EXPORT void hnf_hop(const hnf_carriers *carriers, const hnf_knots *knots, int64_t first, const double *place,
-                        const float *const *time_waves, const hnf_complex *const *pieces, const hnf_reading *readings,
-                        int64_t count, double *scratch, double *out);
+HNF_EXPORT int64_t hnf_plan_hops(const hnf_carriers *carriers, const hnf_knots *knots, int64_t first, int64_t hops,
+                                 const double *place, int64_t room, hnf_reading *out, int64_t *counts);
+HNF_EXPORT void hnf_hops(const hnf_carriers *carriers, const hnf_knots *knots, int64_t first, int64_t hops,
+                         const double *place, const float *const *time_waves, const hnf_complex *const *pieces,
+                         const hnf_reading *readings, const int64_t *counts, double *scratch, double *out);
 
 /* contact.c */
 typedef struct {

@@ -1,4 +1,4 @@
-/* A hop of carriers in time and in arc length, modulated: the twin of texture_hop in hnf_core/field/texture.py. */
+/* Hops of carriers in time and in arc length, modulated: the twin of texture_hops in hnf_core/field/texture.py. */
 #include <math.h>
 #include <string.h>
 
@@ -115,12 +115,35 @@ static int64_t readings_in(const hnf_carriers *c, int64_t first, const double *p
     return found;
 }
 
-/* Where each octave is to be read in the hop at sample `first`: beside knots that are loud. place: s [m] from reach
- * samples before it to as many behind it. Returns how many readings there are; the first `room` of them are in out. */
-int64_t hnf_plan_hop(const hnf_carriers *c, const hnf_knots *k, int64_t first, const double *place, int64_t room,
-                     hnf_reading *out)
+/* Of ascending numbers: how many are less than, or no more than, a limit. */
+static int64_t below(const int64_t *at, int64_t count, int64_t limit, int also)
 {
-    int64_t found = 0, begin = first - c->reach, end = first + c->hop + c->reach;
+    int64_t low = 0;
+    while (low < count) {
+        int64_t middle = low + (count - low) / 2;
+        if (at[middle] < limit || (also && at[middle] == limit))
+            low = middle + 1;
+        else
+            count = middle;
+    }
+    return low;
+}
+
+/* The knots that say what happens in the hop at sample `first` and about it. */
+static hnf_knots around(const hnf_carriers *c, const hnf_knots *k, int64_t first)
+{
+    int64_t low = below(k->at, k->count, first - c->reach, 1) - 1;
+    int64_t high = below(k->at, k->count, first + c->hop + c->reach, 0) + 1;
+    low = least_of(most_of(low, 0), k->count - 2);
+    high = most_of(least_of(high, k->count), 2);
+    return (hnf_knots){k->at + low, k->amplitude + low * k->stride, high - low, k->stride};
+}
+
+/* Where each octave is to be read in one hop, as readings from `found` on: beside knots that are loud. */
+static int64_t plan_hop(const hnf_carriers *c, const hnf_knots *k, int64_t first, const double *place, int64_t found,
+                        int64_t room, hnf_reading *out)
+{
+    int64_t begin = first - c->reach, end = first + c->hop + c->reach;
     extent all = extent_of(place, end - begin);
     for (int64_t octave = 0; octave < c->octaves; octave++) {
         int64_t column = c->arc_first + octave * c->bands;
@@ -139,6 +162,22 @@ int64_t hnf_plan_hop(const hnf_carriers *c, const hnf_knots *k, int64_t first, c
             }
             before = here;
         }
+    }
+    return found;
+}
+
+/* Where each octave is to be read in `hops` hops from sample `first` on. place: s [m] from reach samples before it to as
+ * many behind the last. counts: (hops,) readings of each. Returns how many there are in all; the first `room` of them
+ * are in out. */
+int64_t hnf_plan_hops(const hnf_carriers *c, const hnf_knots *k, int64_t first, int64_t hops, const double *place,
+                      int64_t room, hnf_reading *out, int64_t *counts)
+{
+    int64_t found = 0;
+    for (int64_t hop = 0; hop < hops; hop++, first += c->hop, place += c->hop) {
+        hnf_knots near = around(c, k, first);
+        int64_t now = plan_hop(c, &near, first, place, found, room, out);
+        counts[hop] = now - found;
+        found = now;
     }
     return found;
 }
@@ -209,14 +248,10 @@ static void add_twice(const hnf_carriers *c, int64_t level, const float *values,
     }
 }
 
-/* out (hop,) = sum over all carriers of A_k c_k from sample `first` on.
- *
- * time_waves: (levels) pieces of the carriers in time; they are left out where they are silent, and where it is NULL.
- * pieces: of arc length. readings: (count,) of hnf_plan_hop. scratch: 3 numbers for each sample that a rate keeps, and
- * 2 for each cell of the longest reading. */
-void hnf_hop(const hnf_carriers *c, const hnf_knots *k, int64_t first, const double *place,
-             const float *const *time_waves, const hnf_complex *const *pieces, const hnf_reading *readings,
-             int64_t count, double *scratch, double *out)
+/* out (hop,) = sum over all carriers of A_k c_k from sample `first` on. */
+static void one_hop(const hnf_carriers *c, const hnf_knots *k, int64_t first, const double *place,
+                    const float *const *time_waves, const hnf_complex *const *pieces, const hnf_reading *readings,
+                    int64_t count, double *scratch, double *out)
 {
     rate_samples rates[8];
     for (int64_t level = 0; level < c->levels; level++) {
@@ -228,7 +263,7 @@ void hnf_hop(const hnf_carriers *c, const hnf_knots *k, int64_t first, const dou
         scratch += 3 * samples;
         placed(c, k, first, place, level, &rates[level]);
         memset(rates[level].sum, 0, (size_t)samples * sizeof(float));
-        if (time_waves)
+        if (time_waves && time_waves[level])
             faded(k->amplitude + c->time_first + c->time_band[level], k->stride, c->time_bands[level],
                   time_waves[level], samples, rates[level].row, rates[level].share, rates[level].sum);
     }
@@ -242,4 +277,21 @@ void hnf_hop(const hnf_carriers *c, const hnf_knots *k, int64_t first, const dou
         add_twice(c, level, rates[level].sum, rates[level - 1].sum);
     for (int64_t j = 0; j < c->hop; j++)
         out[j] = rates[0].sum[c->margin[0] + j];
+}
+
+/* out (hops * hop,) = sum over all carriers of A_k c_k from sample `first` on, hop by hop, each as it is alone.
+ *
+ * time_waves: (hops, levels) pieces of the carriers in time; NULL, each or all of them, where they are silent. pieces:
+ * of arc length. readings: those of hnf_plan_hops, counts: (hops,) of each. scratch: 3 numbers for each sample that a
+ * rate keeps of a hop, and 2 for each cell of the longest reading. */
+void hnf_hops(const hnf_carriers *c, const hnf_knots *k, int64_t first, int64_t hops, const double *place,
+              const float *const *time_waves, const hnf_complex *const *pieces, const hnf_reading *readings,
+              const int64_t *counts, double *scratch, double *out)
+{
+    for (int64_t hop = 0; hop < hops; hop++, first += c->hop, place += c->hop, out += c->hop) {
+        hnf_knots near = around(c, k, first);
+        one_hop(c, &near, first, place, time_waves ? time_waves + hop * c->levels : NULL, pieces, readings, counts[hop],
+                scratch, out);
+        readings += counts[hop];
+    }
 }
