@@ -23,6 +23,8 @@ FEATURES = ("level", "peak", "offset", "cos2", "sin2", "cos4", "sin4")
 
 _COUNTS = ("bands", "token_bands", "features", "angles")
 _ARRAYS = ("kappa", "below", "share", "nearest_end", "wavelength", "turn", "shift")
+_WIDE = 4
+"""Numbers at once, as in contact.c."""
 _NUMBERS = ("per_octave", "concentration", "bump_mean", "least_left", "hand", "hand_damping")
 
 
@@ -47,11 +49,12 @@ class Tables:
     ) -> None:  # fmt: skip
         self.bands, self.token_bands, self.angles = len(kappa), len(wavelength), len(shift)
         inside = below.min() >= 0 and below.max() < self.token_bands - 1
-        inside &= shift.min() >= 0 and nearest_end.max() <= self.bands and len(nearest_end) == self.token_bands
+        inside &= shift.min() >= 0 and nearest_end.max() == self.bands and len(nearest_end) == self.token_bands
         if not (inside and len(share) == len(below) == self.bands and turn.shape == (len(shift), 4)):
             raise ValueError(f"tables of {self.bands} bands, {self.token_bands} of a token and {self.angles} angles")
         self.token_size = self.token_bands * len(features)
-        self.room = 9 * self.bands + (20 + self.angles) * self.token_bands
+        row = self.bands + int(shift.max()) + _WIDE
+        self.room = 6 * self.bands + 21 * self.token_bands + (3 + self.angles) * row
         self._kept = [
             np.ascontiguousarray(array, dtype=np.float64 if array.dtype.kind == "f" else np.int64)
             for array in (kappa, below, share, nearest_end, wavelength, turn, shift)

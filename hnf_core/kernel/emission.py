@@ -88,7 +88,7 @@ class Emitter:
 
 @dataclass(frozen=True)
 class Expected:
-    """What linear contact expects of n states, as log amplitudes: prior (n, K); line (n, 2, L) in the two arc bands
+    """What linear contact expects of n states: prior (n, K) log amplitudes; line (n, 2, L) powers in the two arc bands
     about each tone, low (n, L) the lower one."""
 
     prior: Float

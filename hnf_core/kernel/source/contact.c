@@ -15,6 +15,10 @@
 #define TWO_PI 6.283185307179586476925
 #define TWICE_LOG_OF_10 4.605170185988091368036
 
+/* Four numbers at once, whatever the processor's own vectors are. */
+typedef double four __attribute__((vector_size(32), aligned(8)));
+#define WIDE 4
+
 /* Consecutive numbers of a piece of memory. */
 static double *taken(double **from, int64_t count)
 {
@@ -23,20 +27,34 @@ static double *taken(double **from, int64_t count)
     return begin;
 }
 
-/* scratch: 9 * bands + (20 + angles) * token_bands. */
+/* Numbers of a row that is read from any shift on, four at once. */
+static int64_t padded(const hnf_tables *t)
+{
+    int64_t farthest = 0;
+    for (int64_t angle = 0; angle < t->angles; angle++)
+        farthest = t->shift[angle] > farthest ? t->shift[angle] : farthest;
+    return t->bands + farthest + WIDE;
+}
+
+/* scratch: 6 * bands + 21 * token_bands + (3 + angles) * (bands + the farthest shift + 4). */
 contact_work contact_work_in(const hnf_tables *t, double *scratch)
 {
-    int64_t count = t->token_bands;
-    contact_work work = {0};
+    int64_t count = t->token_bands, row = padded(t);
+    contact_work work = {.row = row};
     work.known = (known_token){
         taken(&scratch, count), taken(&scratch, count), taken(&scratch, count), taken(&scratch, count),
         taken(&scratch, count), taken(&scratch, count), taken(&scratch, count), taken(&scratch, count),
         taken(&scratch, t->bands),
     };
-    work.seen = (seen_token){taken(&scratch, 2 * count), taken(&scratch, 2 * count), taken(&scratch, t->angles * count)};
+    work.seen = (seen_token){taken(&scratch, 2 * count), taken(&scratch, 2 * count), taken(&scratch, t->angles * row)};
     work.passed = taken(&scratch, t->bands);
     work.leaned = taken(&scratch, t->bands);
-    work.room = scratch; /* 6 * bands, or 8 * token_bands */
+    work.of = taken(&scratch, 3 * row);
+    work.room = scratch; /* 3 * bands, or 9 * token_bands */
+    for (int64_t angle = 0; angle < t->angles; angle++)
+        memset(work.seen.density + angle * row + t->bands, 0, (size_t)(row - t->bands) * sizeof(double));
+    for (int64_t part = 0; part < 3; part++)
+        memset(work.of + part * row + t->bands, 0, (size_t)(row - t->bands) * sizeof(double));
     return work;
 }
 
@@ -97,15 +115,36 @@ static void know(const hnf_tables *t, const double *token, double *room, const k
     }
 }
 
-/* A token that is known, from a stroke at an angle. */
-static void see(const hnf_tables *t, const known_token *token, double angle, double *room, const seen_token *out)
+/* Angular density of a token's waves at an angle and at its mirror image, one number per token band. What is strictly
+ * oriented is along e^(c (f - 1)) + across e^(c (-f - 1)), f = cos 2a cosine +- sin 2a sine. */
+static void dense(const hnf_tables *t, const double *turn, const double *const moments[4], const double *cosine,
+                  const double *sine, const double *along, const double *oriented, double *out)
+{
+    const double *two_re = moments[0], *two_im = moments[1], *four_re = moments[2], *four_im = moments[3];
+    double level = exp_of(-t->concentration) / t->bump_mean, share = 1.0 / (double)(2 * t->angles);
+    for (int64_t band = 0; band < t->token_bands; band++) {
+        double even = 1.0 + 4.0 / 3.0 * two_re[band] * turn[0] + 2.0 / 3.0 * four_re[band] * turn[2];
+        double odd = 4.0 / 3.0 * two_im[band] * turn[1] + 2.0 / 3.0 * four_im[band] * turn[3];
+        double one = exp_of(t->concentration * cosine[band] * turn[0]), under_one = 1.0 / one;
+        double other = exp_of(t->concentration * sine[band] * turn[1]), under_other = 1.0 / other;
+        double line = along[band] * one * other + (1.0 - along[band]) * under_one * under_other;
+        double mirrored = along[band] * one * under_other + (1.0 - along[band]) * under_one * other;
+        double left = 1.0 - oriented[band], drawn = oriented[band] * level;
+        double here = left * (even + odd) + drawn * line, there = left * (even - odd) + drawn * mirrored;
+        out[band] = ((here > 0.0 ? here : 0.0) + (there > 0.0 ? there : 0.0)) * share;
+    }
+}
+
+/* A token that is known, from a stroke at an angle. row: numbers of a row of its density. */
+static void see(const hnf_tables *t, const known_token *token, double angle, int64_t row, double *room,
+                const seen_token *out)
 {
     int64_t count = t->token_bands;
     double cos_two = cos(2.0 * angle), sin_two = sin(2.0 * angle);
-    double cos_four = cos(4.0 * angle), sin_four = sin(4.0 * angle);
+    double cos_four = cos_two * cos_two - sin_two * sin_two, sin_four = 2.0 * sin_two * cos_two;
     double *two_re = taken(&room, count), *two_im = taken(&room, count), *four_re = taken(&room, count);
     double *four_im = taken(&room, count), *cosine = taken(&room, count), *sine = taken(&room, count);
-    double *along = taken(&room, count), *oriented = taken(&room, count);
+    double *along = taken(&room, count), *oriented = taken(&room, count), *here = taken(&room, count);
     for (int64_t band = 0; band < count; band++) {
         two_re[band] = token->two_re[band] * cos_two + token->two_im[band] * sin_two;
         two_im[band] = token->two_im[band] * cos_two - token->two_re[band] * sin_two;
@@ -123,20 +162,13 @@ static void see(const hnf_tables *t, const known_token *token, double angle, dou
         octaves[0] = token->octaves[band] + log2_of(met);
         octaves[count] = token->octaves[band] + log2_of(across > 1e-30 ? across : 1e-30);
     }
-    memset(out->density, 0, (size_t)(t->angles * count) * sizeof(double));
-    for (int64_t a = 0; a < 2 * t->angles; a++) {
-        const double *turn = t->turn + 4 * (a / 2);
-        double *density = out->density + a / 2 * count;
-        double sine_two = a % 2 ? -turn[1] : turn[1], sine_four = a % 2 ? -turn[3] : turn[3];
-        for (int64_t band = 0; band < count; band++) {
-            double series = 1.0 + 4.0 / 3.0 * (two_re[band] * turn[0] + two_im[band] * sine_two)
-                          + 2.0 / 3.0 * (four_re[band] * turn[2] + four_im[band] * sine_four);
-            double facing = cosine[band] * turn[0] + sine[band] * sine_two;
-            double line = along[band] * exp_of(t->concentration * (facing - 1.0))
-                        + (1.0 - along[band]) * exp_of(t->concentration * (-facing - 1.0));
-            double one = (1.0 - oriented[band]) * series + oriented[band] * line / t->bump_mean;
-            density[band] += (one > 0.0 ? one : 0.0) / (double)(2 * t->angles);
-        }
+    const double *const moments[4] = {two_re, two_im, four_re, four_im};
+    for (int64_t a = 0; a < t->angles; a++) {
+        double *density = out->density + a * row;
+        dense(t, t->turn + 4 * a, moments, cosine, sine, along, oriented, here);
+        for (int64_t band = 0, k = 0; band < count; band++)
+            for (double value = here[band]; k < t->nearest_end[band]; k++)
+                density[k] = value;
     }
 }
 
@@ -150,21 +182,25 @@ static void lean_on(const hnf_tables *t, double radius, double *passed, double *
     }
 }
 
-/* The cut through the noise: what stands at an angle is met further down. of, cut: (3, bands). */
-static void cut_through(const hnf_tables *t, const double *density, const double *restrict of, double *restrict cut)
+/* The cut through the noise: what stands at an angle is met further down. density: (angles, row); of: (3, row); zero
+ * beyond their bands. cut: (3, bands). */
+static void cut_through(const hnf_tables *t, const double *density, const double *of, int64_t row, double *cut)
 {
     int64_t bands = t->bands;
-    memset(cut, 0, (size_t)(3 * bands) * sizeof(double));
-    for (int64_t angle = 0; angle < t->angles; angle++, density += t->token_bands) {
-        int64_t moved = t->shift[angle];
-        for (int64_t band = 0, k = moved; band < t->token_bands; band++) {
-            double here = density[band];
-            for (; k < t->nearest_end[band]; k++) {
-                cut[k - moved] += here * of[k];
-                cut[bands + k - moved] += here * of[bands + k];
-                cut[2 * bands + k - moved] += here * of[2 * bands + k];
-            }
+    for (int64_t k = 0; k < bands; k += WIDE) {
+        four one = {0}, two = {0}, three = {0};
+        const double *share = density + k, *from = of + k;
+        for (int64_t angle = 0; angle < t->angles; angle++, share += row) {
+            int64_t moved = t->shift[angle];
+            four here = *(const four *)(share + moved);
+            one += here * *(const four *)(from + moved);
+            two += here * *(const four *)(from + row + moved);
+            three += here * *(const four *)(from + 2 * row + moved);
         }
+        int64_t many = bands - k < WIDE ? bands - k : WIDE;
+        memcpy(cut + k, &one, (size_t)many * sizeof(double));
+        memcpy(cut + bands + k, &two, (size_t)many * sizeof(double));
+        memcpy(cut + 2 * bands + k, &three, (size_t)many * sizeof(double));
     }
 }
 
@@ -176,7 +212,7 @@ static void met_by(const hnf_tables *t, contact_work *work, const double *token,
     if (other)
         know(t, token, work->room, &work->known);
     if (other || hand->angle != work->angle)
-        see(t, &work->known, hand->angle, work->room, &work->seen);
+        see(t, &work->known, hand->angle, work->row, work->room, &work->seen);
     if (first || hand->radius != work->radius)
         lean_on(t, hand->radius, work->passed, work->leaned);
     work->angle = hand->angle;
@@ -186,17 +222,16 @@ static void met_by(const hnf_tables *t, contact_work *work, const double *token,
 void contact_of(const hnf_tables *t, contact_work *work, const double *token, const hnf_touch *hand, int64_t stride,
                 const hnf_contact *out)
 {
-    int64_t bands = t->bands;
+    int64_t bands = t->bands, row = work->row;
     met_by(t, work, token, hand);
-    double *room = work->room, *of = taken(&room, 3 * bands), *cut = taken(&room, 3 * bands);
-    double *up = of, *aside = of + bands, *met = of + 2 * bands, normal = 0.0;
+    double *of = work->of, *cut = work->room, *up = of, *aside = of + row, *met = of + 2 * row, normal = 0.0;
     for (int64_t k = 0; k < bands; k++) {
         double wave = TWO_PI * t->kappa[k], height = work->known.height[k], leaned = height * work->leaned[k];
         of[k] = height * work->passed[k];
-        of[bands + k] = leaned * wave * wave;
-        of[2 * bands + k] = leaned;
+        of[row + k] = leaned * wave * wave;
+        of[2 * row + k] = leaned;
     }
-    cut_through(t, work->seen.density, of, cut);
+    cut_through(t, work->seen.density, of, row, cut);
     for (int64_t k = 0; k < bands; k++) {
         double wave = TWO_PI * t->kappa[k], omega = wave * hand->speed, square = omega * omega;
         double fade = arc_gain(t->kappa[k] * hand->speed), loud = square * square * fade * fade;

@@ -11,20 +11,22 @@ typedef struct {
 } known_token;
 
 /* The same from a stroke. lines: (2, token_bands) powers of the tones along and across the lattice; octaves: (2,
- * token_bands) at which the stroke meets them. density: (angles, token_bands) of the noise, folded: what stands at a
- * and at pi - a is moved alike. */
+ * token_bands) at which the stroke meets them. density: (angles, row) of the noise per arc band, folded: what stands
+ * at a and at pi - a is moved alike. */
 typedef struct {
     double *lines, *octaves, *density;
 } seen_token;
 
 /* token, angle, radius: what the rest was worked out for; token is NULL where nothing was. passed, leaned: per arc band,
- * what the tip passes on, and the spots that bear it, as power. room: numbers that no state leaves to the next. */
+ * what the tip passes on, and the spots that bear it, as power. row: numbers of a row that is read from any shift on; of:
+ * (3, row) of them. room: numbers that no state leaves to the next. */
 typedef struct {
     const double *token;
     double angle, radius;
+    int64_t row;
     known_token known;
     seen_token seen;
-    double *passed, *leaned, *room;
+    double *passed, *leaned, *of, *room;
 } contact_work;
 
 contact_work contact_work_in(const hnf_tables *tables, double *scratch);

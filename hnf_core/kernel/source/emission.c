@@ -73,7 +73,7 @@ void hnf_inputs(const hnf_tables *t, const hnf_emitter *e, const double *tokens,
             all += power[k];
         }
         for (int64_t j = 0; j < 2 * lines; j++)
-            level[j] = log_amplitude(line[j], e->quiet_line_power);
+            level[j] = line[j] + e->quiet_line_power;
         if (!x)
             continue;
         float *to = x + state * e->inputs;
@@ -96,18 +96,19 @@ void hnf_inputs(const hnf_tables *t, const hnf_emitter *e, const double *tokens,
 
 static inline double least(double a, double b) { return a < b ? a : b; }
 
-/* Power of the tones and their harmonics per arc band. gain: (harmonics, lines) logs. room: (2 * lines,). */
+/* Power of the tones and their harmonics per arc band. gain: (harmonics, lines) logs; level: (2, lines) powers. room:
+ * (2 * lines,). */
 static void ringing(const hnf_tables *t, const hnf_emitter *e, const float *gain, const double *level,
                     const int64_t *low, double *room, double *out)
 {
     int64_t lines = 2 * t->token_bands;
+    double most = exp_of(2.0 * e->ceiling);
     memset(out, 0, (size_t)t->bands * sizeof(double));
     for (int64_t order = 0; order < e->harmonics; order++, gain += lines) {
-        for (int tap = 0; tap < 2; tap++) {
-            for (int64_t line = 0; line < lines; line++) {
-                double from = gain[line] + e->harmonic_start[order];
-                room[tap * lines + line] = exp_of(2.0 * least(from + level[tap * lines + line], e->ceiling));
-            }
+        for (int64_t line = 0; line < lines; line++) {
+            double louder = exp_of(2.0 * (gain[line] + e->harmonic_start[order]));
+            room[line] = least(louder * level[line], most);
+            room[lines + line] = least(louder * level[lines + line], most);
         }
         for (int64_t line = 0; line < lines; line++) {
             int64_t at = low[line] + e->harmonic_shift[order];

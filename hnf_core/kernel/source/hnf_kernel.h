@@ -119,7 +119,7 @@ typedef struct {
 /* speed and force are not below their floors. moving: 0 ... 1, how much of what is emitted counts. */
 typedef struct { double x, y, speed, force, mass, resonance, moving; } hnf_motion;
 
-/* What linear contact expects, as log amplitudes. prior: (states, carriers); line: (states, 2, lines), in the two arc
+/* What linear contact expects. prior: (states, carriers) log amplitudes; line: (states, 2, lines) powers in the two arc
  * bands about each tone; low: (states, lines) the lower one. */
 typedef struct {
     double *prior, *line;
