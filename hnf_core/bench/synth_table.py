@@ -9,12 +9,12 @@ only where the material is the same in no two of them.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import UsageError
+from ..field.adaptive import between
 from ..field.field import Emission, Field, evaluate
 from ..field.linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition
 from ..field.network import heads
@@ -23,6 +23,7 @@ from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
+Integers = NDArray[np.int64]
 
 SPEEDS_M_S = (SPEED_FLOOR_M_S, 1.024)
 FORCES_N = (FORCE_FLOOR_N, 5.12)
@@ -43,11 +44,11 @@ class Grid:
 
 @dataclass(frozen=True)
 class Table:
-    """values: (D, V, F, outputs) float32, what the α head answers and then the σ head. angle_step: radians between
+    """values: (D, V, F, outputs), what the α head answers and then the σ head. angle_step: radians between
     directions, whose first is 0; the table repeats after the last. speed, force: log of the first point and step of the
     log. outputs: of the α head."""
 
-    values: Float32
+    values: Float
     angle_step: float
     speed: tuple[float, float]
     force: tuple[float, float]
@@ -79,7 +80,7 @@ def tabulate(model: Field, token: Float32, mechanics: Mechanics, probe: str, gri
 
         evaluate(model, _conditions(token, mechanics, probe, d[part], v[part], f[part]), noted)
     return Table(
-        rows.reshape(count, len(speed), len(force), -1),
+        rows.reshape(count, len(speed), len(force), -1).astype(np.float64),
         turn / count,
         (float(np.log(speed[0])), float(np.log(speed[1] / speed[0]))),
         (float(np.log(force[0])), float(np.log(force[1] / force[0]))),
@@ -90,32 +91,38 @@ def tabulate(model: Field, token: Float32, mechanics: Mechanics, probe: str, gri
 def from_table(table: Table, model: Field, condition: Condition) -> Emission:
     """What F_Θ emits at each of n states on the table's material, answered by the table."""
 
-    def answer(_: Float32) -> tuple[Float32, Float32]:
-        rows = read_table(table, condition)
-        return rows[:, : table.outputs], rows[:, table.outputs :]
-
-    return evaluate(model, condition, answer)
+    rows = read_table(table, condition).astype(np.float32)
+    return evaluate(model, condition, (rows[:, : table.outputs], rows[:, table.outputs :]))
 
 
-def read_table(table: Table, condition: Condition) -> Float32:
+def read_table(table: Table, condition: Condition) -> Float:
     """(n, outputs) what both heads would answer at each of n states."""
     directions, speeds, forces, width = table.values.shape
-    angle = np.arctan2(condition.direction[:, 1], condition.direction[:, 0]) / table.angle_step
-    low = np.floor(angle).astype(np.int64)
-    axes = [[(low % directions, 1.0 - (angle - low)), ((low + 1) % directions, angle - low)]]
-    if directions == 1:
-        axes = [[(np.zeros_like(low), np.ones(len(low)))]]
-    for count, of, floor, (start, step) in (
-        (speeds, condition.speed, SPEED_FLOOR_M_S, table.speed),
-        (forces, condition.force, FORCE_FLOOR_N, table.force),
-    ):
-        place = np.clip((np.log(np.maximum(of, floor)) - start) / step, 0.0, count - 1)
-        at = np.minimum(place.astype(np.int64), count - 2)
-        axes.append([(at, 1.0 - (place - at)), (at + 1, place - at)])
-    corners = list(product(*axes))
-    index = np.stack([(d * speeds + v) * forces + f for (d, _), (v, _), (f, _) in corners], axis=1)
-    weight = np.stack([a * b * c for (_, a), (_, b), (_, c) in corners], axis=1).astype(np.float32)
-    return np.asarray(np.einsum("nc,ncw->nw", weight, table.values.reshape(-1, width)[index]))
+    rows: list[tuple[Integers, Float]] = [
+        (np.zeros(len(condition.speed), dtype=np.int64), np.ones(len(condition.speed)))
+    ]
+    if directions > 1:
+        angle = np.arctan2(condition.direction[:, 1], condition.direction[:, 0]) / table.angle_step
+        low = np.floor(angle).astype(np.int64)
+        rows = [(low % directions, 1.0 - (angle - low)), ((low + 1) % directions, angle - low)]
+    (speed, faster), (force, harder) = (
+        _place(np.log(np.maximum(of, floor)), count, *axis)
+        for count, of, floor, axis in (
+            (speeds, condition.speed, SPEED_FLOOR_M_S, table.speed),
+            (forces, condition.force, FORCE_FLOOR_N, table.force),
+        )
+    )
+    both = ((speed, 1.0 - faster), (speed + 1, faster))
+    corners = [((d * speeds + v) * forces + force, of_d * of_v) for d, of_d in rows for v, of_v in both]
+    row, factor = (np.stack(each, axis=1) for each in zip(*corners, strict=True))
+    return between(table.values.reshape(-1, width), row, np.repeat(harder[:, None], len(corners), axis=1), factor)
+
+
+def _place(log: Float, count: int, start: float, step: float) -> tuple[Integers, Float]:
+    """The point of an axis before each number (n,), and how far it is on the way to the next."""
+    place = np.clip((log - start) / step, 0.0, count - 1)
+    low = np.minimum(place.astype(np.int64), count - 2)
+    return low, place - low
 
 
 def _conditions(

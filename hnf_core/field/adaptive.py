@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernel.contact import add_rows
+from ..kernel.contact import between_rows
 from ..kernel.library import kernel
 from .carriers import MODEL_RATE_HZ
 from .field import Emission, FieldConfig
@@ -35,6 +35,8 @@ hold some)."""
 _PARABOLA = 8.0 / 15.0
 """Mean square of what a parabola misses of its chord, over the square in the middle."""
 AT_ONCE = 512
+EXPECTED = 1024
+"""Evaluations that there is room for from the start: what is not used costs nothing."""
 MOST = 40_000
 """Samples: 0.8 GB on the way. Who follows a stroke further than that asks for more than its states know."""
 
@@ -49,21 +51,22 @@ class Sampled:
     missed: float
 
     def place(self, sample: Samples) -> tuple[Samples, Float]:
-        """The evaluation before each sample (n,), and how far it is on the way to the next, 0 … 1."""
+        """The evaluation before each sample (…), and how far it is on the way to the next, 0 … 1."""
         row = np.clip(np.searchsorted(self.at, sample, side="right") - 1, 0, len(self.at) - 2)
-        return row, np.clip((sample - self.at[row]) / (self.at[row + 1] - self.at[row]), 0.0, 1.0)
-
-    def add_alpha(self, row: Samples, share: Float, factor: Float, out: Float) -> None:
-        """out (n, K) += factor (n,) times alpha between the evaluations row (n,) and the next."""
-        alpha, compiled = self.emission.alpha[:, 0], kernel()
-        if compiled is not None:
-            add_rows(compiled, np.ascontiguousarray(alpha), row, share, factor, out)
-        else:
-            out += factor[:, None] * _between(alpha, row, share)
+        begin = self.at[row]
+        return row, np.clip((sample - begin) / (self.at[row + 1] - begin), 0.0, 1.0)
 
 
-def _between(values: Float, row: Samples, share: Float) -> Float:
-    return np.asarray(values[row] + share[:, None] * (values[row + 1] - values[row]))
+def between(values: Float, row: Samples, share: Float, factor: Float) -> Float:
+    """(n, K) Σ over terms of factor times what lies share of the way from a row of values (m, K) to the next; row,
+    share, factor: (n, terms)."""
+    compiled = kernel()
+    if compiled is not None:
+        return between_rows(compiled, np.ascontiguousarray(values), row, share, np.ascontiguousarray(factor))
+    out = np.zeros((len(row), values.shape[1]))
+    for one, part, times in zip(row.T, share.T, factor.T, strict=True):
+        out += times[:, None] * (values[one] + part[:, None] * (values[one + 1] - values[one]))
+    return out
 
 
 def sample_emission(evaluate: Evaluate, count: int, tolerance: float, turns: Samples | None = None) -> Sampled:
@@ -73,15 +76,17 @@ def sample_emission(evaluate: Evaluate, count: int, tolerance: float, turns: Sam
     samples that are asked for in any case, since something begins or ends there. At MOST samples it stops.
     """
     known = np.arange(0) if turns is None else turns[turns < count]
-    asked = _Asked(evaluate, np.unique(np.concatenate([np.arange(0, count, COARSEST), known, [count]])))
-    pending = np.stack([np.arange(asked.count - 1), np.arange(1, asked.count)], axis=1)
-    before = np.zeros(len(pending))
+    grid = np.unique(np.concatenate([np.arange(0, count, COARSEST), known, [count]]))
+    pending = np.stack([np.arange(len(grid) - 1), np.arange(1, len(grid))], axis=1)
+    pending = pending[np.diff(grid) > FINEST]
+    asked, before = _Asked(evaluate), np.zeros(len(pending))
+    # Every middle of the grid is asked for whatever is found there, so all of it at once.
+    asked.ask(np.concatenate([grid, grid[pending].sum(axis=1) // 2]))
+    middle = slice(len(grid), asked.count)
     settled, power, claimed = np.zeros((0, 2), dtype=np.int64), np.zeros(0), np.zeros(0)
     while True:
-        long = asked.lengths(pending) > FINEST
-        pending, before = pending[long], before[long]
         if len(pending):
-            halves, found = asked.halved(pending)
+            halves, found = asked.halved(pending, middle)
             settled, power = np.concatenate([settled, halves]), np.concatenate([power, np.tile(found, 2)])
             claimed = np.concatenate([claimed, np.tile(_of_a_half(found, before), 2)])
         total = asked.total()
@@ -96,28 +101,31 @@ def sample_emission(evaluate: Evaluate, count: int, tolerance: float, turns: Sam
             return asked.sampled(missed)
         worst.sort()
         pending, before = settled[worst], power[worst]
+        middle = asked.ask(asked.middles(pending))
         settled, power, claimed = np.delete(settled, worst, axis=0), np.delete(power, worst), np.delete(claimed, worst)
 
 
 class _Asked:
     """Evaluations in the order in which they were asked for; an interval is the rows (p, 2) of its two ends."""
 
-    def __init__(self, evaluate: Evaluate, at: Samples) -> None:
+    def __init__(self, evaluate: Evaluate) -> None:
         self._evaluate, self.count = evaluate, 0
         self._at = np.zeros(0, dtype=np.int64)
         self._alpha, self._sigma_dt, self._power = np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0)
-        self._ask(at)
 
     def lengths(self, intervals: Samples) -> Samples:
         """Samples (p,)."""
         return np.asarray(self._at[intervals[:, 1]] - self._at[intervals[:, 0]])
 
-    def halved(self, intervals: Samples) -> tuple[Samples, Float]:
-        """Their halves (2p, 2), and what the straight line of each misses in its middle (p,), as power."""
+    def middles(self, intervals: Samples) -> Samples:
+        """Samples (p,)."""
+        return np.asarray(self._at[intervals].sum(axis=1) // 2)
+
+    def halved(self, intervals: Samples, rows: slice) -> tuple[Samples, Float]:
+        """Their halves (2p, 2), and what the straight line of each misses in its middle (p,), as power. rows: of the
+        middles, in the order of the intervals."""
         low, high = intervals.T
-        middle = (self._at[low] + self._at[high]) // 2
-        share = ((middle - self._at[low]) / (self._at[high] - self._at[low]))[:, None]
-        rows = self._ask(middle)
+        share = ((self._at[rows] - self._at[low]) / (self._at[high] - self._at[low]))[:, None]
         off, thinner = (
             each[rows] - (each[low] + share * (each[high] - each[low])) for each in (self._alpha, self._sigma_dt)
         )
@@ -136,7 +144,7 @@ class _Asked:
         order = np.argsort(self._at[: self.count])
         return Sampled(self._at[order], Emission(self._alpha[order][:, None, :], self._sigma_dt[order]), missed)
 
-    def _ask(self, at: Samples) -> slice:
+    def ask(self, at: Samples) -> slice:
         """The rows of what is evaluated at these samples."""
         parts = [self._evaluate(at[low : low + AT_ONCE]) for low in range(0, len(at), AT_ONCE)]
         rows = slice(self.count, self.count + len(at))
@@ -151,7 +159,7 @@ class _Asked:
 def _with(kept: NDArray[Any], rows: slice, new: NDArray[Any]) -> NDArray[Any]:
     """kept with new in these rows, which follow the last; where there is no room, in twice the memory."""
     if rows.stop > len(kept):
-        grown = np.empty((max(2 * len(kept), rows.stop), *new.shape[1:]), dtype=new.dtype)
+        grown = np.empty((max(2 * len(kept), rows.stop, EXPECTED), *new.shape[1:]), dtype=new.dtype)
         grown[: rows.start] = kept[: rows.start] if rows.start else 0.0
         kept = grown
     kept[rows] = new
@@ -179,10 +187,8 @@ def accumulated(config: FieldConfig, sampled: Sampled, count: int) -> tuple[Samp
     lag = round(config.spacing_s * MODEL_RATE_HZ)
     # What bends now bends again in the nearest memory; of what lies further back a hundredth is left.
     at = np.unique(np.concatenate([sampled.at, np.minimum(sampled.at + lag, count)]))
-    placed = [sampled.place(at - state * lag) for state in range(config.states)]
-    densities = [_between(sampled.emission.sigma_dt[:, [n]], *place)[:, 0] for n, place in enumerate(placed)]
-    weights = render_weights(np.stack(densities, axis=1))
-    total = np.zeros((len(at), sampled.emission.alpha.shape[-1]))
-    for state, place in enumerate(placed):
-        sampled.add_alpha(*place, weights[:, state] * (at >= state * lag), total)
-    return at, total
+    row, share = sampled.place(at[:, None] - lag * np.arange(config.states))
+    density, state = sampled.emission.sigma_dt, np.arange(config.states)
+    before = density[row, state]
+    weights = render_weights(before + share * (density[row + 1, state] - before))
+    return at, between(sampled.emission.alpha[:, 0], row, share, weights * (at[:, None] >= lag * state))

@@ -74,15 +74,25 @@ def emission(
     kernel: CDLL, emitter: Emitter, condition: Condition, answer: Callable[[Float32], tuple[Float32, Float32]]
 ) -> tuple[Float, Float32]:
     """alpha (n, K), and what the σ head answers. answer: inputs (n, D) → both heads' (n, …)."""
-    touch, resonance = touch_of(condition)
-    speed, force = np.maximum(condition.speed, SPEED_FLOOR_M_S), np.maximum(condition.force, FORCE_FLOOR_N)
-    motion = np.column_stack(
-        [condition.direction, speed, force, touch["mass"], resonance, moving(condition)]
-    )  # fmt: skip
+    tokens, motion, touch = _states(condition)
     known = np.array([fixed_inputs(each, condition.probe) for each in condition.mechanics])
-    tokens = np.ascontiguousarray(condition.tokens, dtype=np.float64)
-    x, expected = compiled.inputs(
-        kernel, emitter, tokens, known[condition.material], motion, np.stack([touch[name] for name in TOUCH], axis=1)
-    )
+    x, expected = compiled.inputs(kernel, emitter, tokens, known[condition.material], motion, touch)
     head, sigma = answer(x)
     return compiled.emitted(kernel, emitter, np.ascontiguousarray(head, dtype=np.float32), motion, expected), sigma
+
+
+def answered(kernel: CDLL, emitter: Emitter, condition: Condition, head: Float32) -> Float:
+    """alpha (n, K) of what the α head has answered (n, outputs)."""
+    return compiled.answered(kernel, emitter, *_states(condition), np.ascontiguousarray(head, dtype=np.float32))
+
+
+def _states(condition: Condition) -> tuple[Float, Float, Float]:
+    """Of n states: tokens (n, TOKEN_DIM), and the columns MOTION and TOUCH."""
+    touch, resonance = touch_of(condition)
+    motion = np.empty((len(resonance), len(compiled.MOTION)))
+    motion[:, :2] = condition.direction
+    np.maximum(condition.speed, SPEED_FLOOR_M_S, out=motion[:, 2])
+    np.maximum(condition.force, FORCE_FLOOR_N, out=motion[:, 3])
+    motion[:, 4], motion[:, 5], motion[:, 6] = touch["mass"], resonance, moving(condition)
+    columns = np.stack([touch[name] for name in TOUCH], axis=1)
+    return np.ascontiguousarray(condition.tokens, dtype=np.float64), motion, columns

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..action.action import ACTION_RATE_HZ
 from ..kernel.library import kernel
 from .carriers import Carriers
-from .emitter import emission, emitter_of, fits
+from .emitter import answered, emission, emitter_of, fits
 from .features import build_inputs, input_size
 from .linear_contact import Condition
 from .lines import GAINS, line_power
@@ -29,8 +29,10 @@ from .rendering import render_weights
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
-Answer = Callable[[Float32], tuple[Float32, Float32]]
-"""Inputs (n, D) → what the α head and the σ head say of them, (n, …) each."""
+Answers = tuple[Float32, Float32]
+"""What the α head and the σ head say of n states, (n, …) each."""
+Answer = Callable[[Float32], Answers]
+"""Of their inputs (n, D)."""
 
 LOG_AMPLITUDE_CEILING = 6.0
 """exp of it is 400 m/s² in one band: far above any touch, far below overflow."""
@@ -135,15 +137,19 @@ class Emission:
     sigma_dt: Float
 
 
-def evaluate(model: Field, condition: Condition, answer: Answer | None = None) -> Emission:
-    """F_Θ at each of n states, in float32 products (as the torch twin). answer: what stands for the network."""
+def evaluate(model: Field, condition: Condition, answer: Answer | Answers | None = None) -> Emission:
+    """F_Θ at each of n states, in float32 products (as the torch twin). answer: what stands for the network, or what it
+    would have answered."""
     config, weights, compiled = model.config, model.parameters, kernel()
     if answer is None:
         answer = partial(heads, weights, config.layers)
     if compiled is None or not fits(config) or weights["skip"].dtype != np.float32:
-        return _in_numpy(model, condition, answer)
+        return _in_numpy(model, condition, answer if callable(answer) else lambda _: answer)
     emitter = emitter_of(config, weights["skip"].tobytes(), condition.probe, LOG_AMPLITUDE_CEILING)
-    alpha, sigma = emission(compiled, emitter, condition, answer)
+    if callable(answer):
+        alpha, sigma = emission(compiled, emitter, condition, answer)
+    else:
+        alpha, sigma = answered(compiled, emitter, condition, answer[0]), answer[1]
     return Emission(alpha[:, None, :], np.logaddexp(0.0, sigma.astype(np.float64)))
 
 

@@ -16,7 +16,7 @@ from .field import Field, evaluate
 from .rendering import render_weights
 from .stroke import StrokeInput
 from .synthesis import contact_term, prepare
-from .timeline import SAMPLES_PER_STATE, action_at, condition_of, cubic, sample_count, states_of
+from .timeline import SAMPLES_PER_STATE, condition_at, cubic, sample_count, states_of
 
 Float = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ def texture_reference(
         emissions = []
         for n in range(config.states if config.accumulation == "past" else 1):
             at = sample - n * lag
-            emission = evaluate(field, condition_of(stroke, *action_at(action, token_index, at)))
+            emission = evaluate(field, condition_at(stroke, action, token_index, at))
             emissions.append((np.where(at[:, None, None] < 0, 0.0, emission.alpha), emission.sigma_dt))
         if config.accumulation == "past":
             sigma = np.stack([emission[1][:, n] for n, emission in enumerate(emissions)], axis=1)

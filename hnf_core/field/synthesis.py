@@ -35,7 +35,7 @@ from .stroke import StrokeInput, Synthesis
 from .texture import REACH, texture_hops
 from .timeline import (
     SAMPLES_PER_STATE,
-    action_at,
+    condition_at,
     condition_of,
     fastest,
     sample_count,
@@ -212,14 +212,16 @@ def _prepare_within(
     emission: Evaluate,
 ) -> Prepared:
     carriers, config, count = field.config.carriers, field.config, sample_count(action)
-    felt = np.convolve(action.contact, np.ones(memory(field) + 3))[1 : len(action.contact) + 1] > 0.0
+    felt = _remembered(action.contact, memory(field))
 
     def emit(at: NDArray[np.int64]) -> Emission:
         """Nothing in the air, but for what remembers the contact or interpolates towards it."""
         rows = felt[np.minimum(at // SAMPLES_PER_STATE, len(felt) - 1)]
+        if rows.all():
+            return emission(field, condition_at(stroke, action, token_index, at))
         alpha, sigma_dt = np.zeros((len(at), 1, carriers.count)), np.zeros((len(at), config.states))
         if rows.any():
-            found = emission(field, condition_of(stroke, *action_at(action, token_index, at[rows])))
+            found = emission(field, condition_at(stroke, action, token_index, at[rows]))
             alpha[rows], sigma_dt[rows] = found.alpha, found.sigma_dt
         return Emission(alpha, sigma_dt)
 
@@ -228,7 +230,8 @@ def _prepare_within(
     if carriers.arc_count:
         pace, state = fastest(action), knots // SAMPLES_PER_STATE
         around = np.maximum(pace[state], pace[np.minimum(state + 1, len(pace) - 1)])
-        amplitude[:, carriers.arc_slice] *= around[:, None] * carriers.arc_centres() < BAND_END_HZ
+        fast = np.flatnonzero(around * carriers.arc_centres()[-1] >= BAND_END_HZ)
+        amplitude[fast, carriers.arc_slice] *= around[fast, None] * carriers.arc_centres() < BAND_END_HZ
     pressed = np.where(action.contact, action.force, 0.0)
     bank = filter_bank(stroke.mechanics, token_index, pressed, action.probe)
     loudest = np.atleast_1d(np.max(sampled.emission.alpha, initial=0.0))
@@ -236,6 +239,13 @@ def _prepare_within(
         carriers, seed, action, amplitude[:, None, :], bank, pressed, audible_gain(action.contact, count),
         loudest=loudest, knots=knots, missed=sampled.missed,
     )  # fmt: skip
+
+
+def _remembered(contact: NDArray[np.bool_], states: int) -> NDArray[np.bool_]:
+    """(n,) whether a state, the next one, or any of so many before it and one more touches."""
+    touched = np.concatenate([[0], np.cumsum(contact)])
+    at = np.arange(len(contact))
+    return np.asarray(touched[np.minimum(at + 2, len(contact))] > touched[np.maximum(at - states - 1, 0)])
 
 
 def _differ(action: Action, other: Action, rows: slice) -> bool:

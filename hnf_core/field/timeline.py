@@ -48,27 +48,6 @@ def states_of(stroke: StrokeInput) -> tuple[Action, NDArray[np.int32]]:
     return resampled, stroke.token_index[nearest]
 
 
-def action_at(
-    action: Action, token_index: NDArray[np.int32], sample: NDArray[np.int64]
-) -> tuple[Action, NDArray[np.int32]]:
-    """u and the material at samples of the model rate, clamped to the stroke, of an action at ACTION_RATE_HZ."""
-    place = np.clip(sample / SAMPLES_PER_STATE, 0, len(action.speed) - 1)
-    states = np.arange(len(action.speed))
-    nearest = np.rint(place).astype(int)
-    direction = np.stack([np.interp(place, states, action.direction[:, axis]) for axis in range(2)], axis=1)
-    length = np.linalg.norm(direction, axis=1, keepdims=True)
-    local = replace(
-        action,
-        rate=ACTION_RATE_HZ,
-        direction=np.where(length > 1e-9, direction / np.maximum(length, 1e-9), action.direction[nearest]),
-        speed=np.interp(place, states, action.speed),
-        force=np.interp(place, states, action.force),
-        position=cubic(action.position, place),
-        contact=action.contact[nearest],
-    )
-    return local, token_index[nearest]
-
-
 def condition_of(stroke: StrokeInput, action: Action, token_index: NDArray[np.int32]) -> Condition:
     """F_Θ's condition at every state."""
     tokens = stroke.tokens.astype(np.float64)[token_index]
@@ -82,6 +61,24 @@ def condition_of(stroke: StrokeInput, action: Action, token_index: NDArray[np.in
         action.contact,
         action.probe,
     )
+
+
+def condition_at(
+    stroke: StrokeInput, action: Action, token_index: NDArray[np.int32], sample: NDArray[np.int64]
+) -> Condition:
+    """The same at samples of the model rate, clamped to the stroke: linear between states, direction as a vector,
+    contact and material those of the nearest. action: at ACTION_RATE_HZ."""
+    place = np.clip(sample / SAMPLES_PER_STATE, 0, len(action.speed) - 1)
+    states, nearest = np.arange(len(action.speed)), np.rint(place).astype(np.int64)
+    direction = np.empty((len(place), 2))
+    for axis in range(2):
+        direction[:, axis] = np.interp(place, states, action.direction[:, axis])
+    length = np.linalg.norm(direction, axis=1, keepdims=True)
+    direction = np.where(length > 1e-9, direction / np.maximum(length, 1e-9), action.direction[nearest])
+    material = token_index[nearest]
+    speed, force = (np.interp(place, states, values) for values in (action.speed, action.force))
+    tokens, contact = stroke.tokens.astype(np.float64)[material], action.contact[nearest]
+    return Condition(tokens, stroke.mechanics, material, direction, speed, force, contact, action.probe)
 
 
 def states_in(condition: Condition, rows: slice) -> Condition:

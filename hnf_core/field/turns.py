@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..action.action import Action
+from ..kernel.library import kernel
+from ..kernel.turns import bends
 from .linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S
 from .timeline import SAMPLES_PER_STATE
 
@@ -26,25 +28,31 @@ def turns(action: Action, token_index: NDArray[np.int32]) -> Samples:
     material, and in contact or in the air throughout: states, and places between two of them."""
     force = np.where(action.contact, np.maximum(action.force, FORCE_FLOOR_N), FORCE_FLOOR_N)
     speed = np.maximum(action.speed, SPEED_FLOOR_M_S)
-    course = np.stack([np.log(speed), np.log(force), *action.direction.T])
+    course = np.column_stack([np.log(speed), np.log(force), action.direction])
     changes = np.flatnonzero((np.diff(token_index) != 0) | (np.diff(action.contact.astype(np.int8)) != 0))
     kept = np.unique(np.concatenate([[0, len(speed) - 1], changes, changes + 1]))
+    compiled = kernel()
+    found = _bends(course, kept) if compiled is None else bends(compiled, course, kept, BENT)
+    states: Samples = SAMPLES_PER_STATE * found.astype(np.int64)
+    all_: Samples = np.unique(np.concatenate([states, _between_states(speed), _between_states(force)]))
+    return all_
+
+
+def _bends(course: Float, kept: Samples) -> Samples:
+    """In numpy: what the kernel is tested against."""
     pending = list(zip(kept[:-1].tolist(), kept[1:].tolist(), strict=True))
     found = set(kept.tolist())
     while pending:
         low, high = pending.pop()
         if high - low < 2:
             continue
-        begin, end = course[:, low, None], course[:, high, None]
-        off = np.abs(course[:, low + 1 : high] - (begin + np.arange(1, high - low) / (high - low) * (end - begin)))
-        off = off.max(axis=0)
+        share = np.arange(1, high - low)[:, None] / (high - low)
+        off = np.abs(course[low + 1 : high] - (course[low] + share * (course[high] - course[low]))).max(axis=1)
         worst = int(np.argmax(off))
         if off[worst] > BENT:
             found.add(low + 1 + worst)
             pending += [(low, low + 1 + worst), (low + 1 + worst, high)]
-    states: Samples = SAMPLES_PER_STATE * np.array(sorted(found), dtype=np.int64)
-    all_: Samples = np.unique(np.concatenate([states, _between_states(speed), _between_states(force)]))
-    return all_
+    return np.array(sorted(found), dtype=np.int64)
 
 
 def _between_states(value: Float) -> Samples:

@@ -54,7 +54,7 @@ class Tables:
             raise ValueError(f"tables of {self.bands} bands, {self.token_bands} of a token and {self.angles} angles")
         self.token_size = self.token_bands * len(features)
         row = self.bands + int(shift.max()) + _WIDE
-        self.room = 6 * self.bands + 21 * self.token_bands + (3 + self.angles) * row
+        self.room = 6 * self.bands + 21 * (self.token_bands + _WIDE - 1) + (3 + self.angles) * row
         self._kept = [
             np.ascontiguousarray(array, dtype=np.float64 if array.dtype.kind == "f" else np.int64)
             for array in (kappa, below, share, nearest_end, wavelength, turn, shift)
@@ -93,17 +93,16 @@ def linear_contact(kernel: ctypes.CDLL, tables: Tables, tokens: Float, touch: Fl
     return found
 
 
-def add_rows(kernel: ctypes.CDLL, values: Float, row: Integers, share: Float, factor: Float, out: Float) -> None:
-    """out (n, K) += factor (n,) times what lies share (n,) of the way from row (n,) of values (m, K) to the next.
-
-    Raises ValueError where there is no such row.
-    """
-    count, width = out.shape
-    if values.shape[1] != width or not len(row) == len(share) == len(factor) == count:
-        raise ValueError(f"{len(row)} rows of {values.shape} into {out.shape}")
-    if count and not 0 <= row.min() <= row.max() <= len(values) - 2:
+def between_rows(kernel: ctypes.CDLL, values: Float, row: Integers, share: Float, factor: Float) -> Float:
+    """(n, K) Σ over terms of factor times what lies share of the way from a row of values (m, K) to the next; row,
+    share, factor: (n, terms). Raises ValueError where there is no such row."""
+    if not row.shape == share.shape == factor.shape or row.ndim != 2:
+        raise ValueError(f"rows {row.shape} with shares {share.shape} and factors {factor.shape}")
+    if row.size and not 0 <= row.min() <= row.max() <= len(values) - 2:
         raise ValueError(f"rows {row.min()} to {row.max() + 1} of {len(values)}")
-    kernel.hnf_add_rows(
-        address(values, np.float64), width, address(row, np.int64), address(share, np.float64),
-        address(factor, np.float64), count, address(out, np.float64),
+    out = np.empty((len(row), values.shape[1]))
+    kernel.hnf_between_rows(
+        address(values, np.float64), values.shape[1], address(row, np.int64), address(share, np.float64),
+        address(factor, np.float64), row.shape[1], len(row), address(out, np.float64),
     )  # fmt: skip
+    return out

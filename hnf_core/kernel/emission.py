@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .contact import TOUCH, Tables
+from .halves import in_halves
 from .library import address, pointers
 
 Float = NDArray[np.float64]
@@ -30,6 +31,8 @@ _NUMBERS = ("quiet_power", "quiet_line_power", "time_share", "ceiling", "pace", 
 _ARRAYS = (
     "token_shift", "token_scale", "time_edge", "skip", "knot", "knot_share", "harmonic_shift", "harmonic_start",
 )  # fmt: skip
+HALF = 128
+"""States that are worth a thread of their own."""
 _SCALARS = 3
 _ACTION = 4
 
@@ -102,6 +105,9 @@ class Expected:
             np.empty((states, emitter.lines), dtype=np.int64),
         )  # fmt: skip
 
+    def of(self, states: slice) -> Expected:
+        return Expected(self.prior[states], self.line[states], self.low[states])
+
     def struct(self, states: int, emitter: Emitter) -> _Expected:
         wanted = (states, emitter.carriers), (states, 2, emitter.lines), (states, emitter.lines)
         if (self.prior.shape, self.line.shape, self.low.shape) != wanted:
@@ -120,27 +126,67 @@ def inputs(
     states = len(tokens)
     _check(emitter, states, tokens, fixed, motion, touch)
     x, expected = np.empty((states, emitter.inputs), dtype=np.float32), Expected.empty(states, emitter)
-    scratch = np.empty(emitter.room)
-    kernel.hnf_inputs(
-        ctypes.byref(emitter.tables.struct), ctypes.byref(emitter.struct), address(tokens, np.float64),
-        tokens.shape[1], address(fixed, np.float64), address(motion, np.float64), address(touch, np.float64), states,
-        address(scratch, np.float64), address(x, np.float32), ctypes.byref(expected.struct(states, emitter)),
-    )  # fmt: skip
+
+    def part(low: int, high: int) -> None:
+        rows, scratch = slice(low, high), np.empty(emitter.room)
+        kernel.hnf_inputs(
+            ctypes.byref(emitter.tables.struct), ctypes.byref(emitter.struct), address(tokens[rows], np.float64),
+            tokens.shape[1], address(fixed[rows], np.float64), address(motion[rows], np.float64),
+            address(touch[rows], np.float64), high - low, address(scratch, np.float64), address(x[rows], np.float32),
+            ctypes.byref(expected.of(rows).struct(high - low, emitter)),
+        )  # fmt: skip
+
+    in_halves(part, states, HALF)
     return x, expected
 
 
 def emitted(kernel: ctypes.CDLL, emitter: Emitter, head: Float32, motion: Float, expected: Expected) -> Float:
     """(n, K) amplitudes of what the head answers (n, outputs); 0 where nothing moves. Raises ValueError as inputs()."""
     states = len(head)
-    if head.shape[1] != emitter.outputs or motion.shape != (states, len(MOTION)):
-        raise ValueError(f"{head.shape} answers for {motion.shape} states")
-    alpha, scratch = np.empty((states, emitter.carriers)), np.empty(emitter.emitted_room)
-    kernel.hnf_emitted(
-        ctypes.byref(emitter.tables.struct), ctypes.byref(emitter.struct), address(head, np.float32),
-        address(motion, np.float64), ctypes.byref(expected.struct(states, emitter)), states,
-        address(scratch, np.float64), address(alpha, np.float64),
-    )  # fmt: skip
+    _check_answers(emitter, head, motion)
+    expected.struct(states, emitter)
+    alpha = np.empty((states, emitter.carriers))
+
+    def part(low: int, high: int) -> None:
+        rows, scratch = slice(low, high), np.empty(emitter.emitted_room)
+        kernel.hnf_emitted(
+            ctypes.byref(emitter.tables.struct), ctypes.byref(emitter.struct), address(head[rows], np.float32),
+            address(motion[rows], np.float64), ctypes.byref(expected.of(rows).struct(high - low, emitter)), high - low,
+            address(scratch, np.float64), address(alpha[rows], np.float64),
+        )  # fmt: skip
+
+    in_halves(part, states, HALF)
     return alpha
+
+
+def answered(kernel: ctypes.CDLL, emitter: Emitter, tokens: Float, motion: Float, touch: Float, head: Float32) -> Float:
+    """emitted() of a head (n, outputs) that has answered without being asked: no inputs are made. The rest as of
+    inputs()."""
+    states = len(head)
+    _check(emitter, states, tokens, np.empty((states, emitter.fixed)), motion, touch)
+    _check_answers(emitter, head, motion)
+    alpha = np.empty((states, emitter.carriers))
+
+    def part(low: int, high: int) -> None:
+        rows, expected = slice(low, high), Expected.empty(high - low, emitter)
+        scratch, told = np.empty(max(emitter.room, emitter.emitted_room)), expected.struct(high - low, emitter)
+        tables, own = ctypes.byref(emitter.tables.struct), ctypes.byref(emitter.struct)
+        kernel.hnf_inputs(
+            tables, own, address(tokens[rows], np.float64), tokens.shape[1], None, address(motion[rows], np.float64),
+            address(touch[rows], np.float64), high - low, address(scratch, np.float64), None, ctypes.byref(told),
+        )  # fmt: skip
+        kernel.hnf_emitted(
+            tables, own, address(head[rows], np.float32), address(motion[rows], np.float64), ctypes.byref(told),
+            high - low, address(scratch, np.float64), address(alpha[rows], np.float64),
+        )  # fmt: skip
+
+    in_halves(part, states, HALF)
+    return alpha
+
+
+def _check_answers(emitter: Emitter, head: Float32, motion: Float) -> None:
+    if head.shape[1] != emitter.outputs or motion.shape != (len(head), len(MOTION)):
+        raise ValueError(f"{head.shape} answers for {motion.shape} states")
 
 
 _MOTION, _TOUCH = (struct.Struct(f"{len(names)}d") for names in (MOTION, TOUCH))

@@ -45,7 +45,8 @@ _SIGNATURES = {
     ),
     "hnf_emitted": (_Pointer, _Pointer, _Pointer, _Pointer, _Pointer, _Integer, _Pointer, _Pointer),
     "hnf_layers": (_Pointer, _Pointer, _Pointer, _Integer, _Pointer, _Pointer, _Pointer, _Pointer),
-    "hnf_add_rows": (_Pointer, _Integer, _Pointer, _Pointer, _Pointer, _Integer, _Pointer),
+    "hnf_between_rows": (_Pointer, _Integer, _Pointer, _Pointer, _Pointer, _Integer, _Integer, _Pointer),
+    "hnf_bends": (_Pointer, _Integer, _Integer, _Number, _Pointer),
     "hnf_bins": (_Word, _Word, _Word, _Integer, _Integer, _Integer, _Pointer, _Pointer),
     "hnf_real_waves": (
         _Pointer, _Pointer, _Pointer, _Integer, _Integer, _Integer, _Pointer, _Pointer, _Pointer, _Pointer, _Pointer,

@@ -10,12 +10,12 @@ from test_synthesis import FOAM, WOOD, linear_field, make_action, rough_token, s
 
 from hnf_core.action.primitive_path import primitive_action
 from hnf_core.action.primitives import PRIMITIVES
-from hnf_core.field.adaptive import COARSEST, FINEST, MOST, sample_emission
+from hnf_core.field.adaptive import COARSEST, FINEST, MOST, between, sample_emission
 from hnf_core.field.field import Emission, evaluate
 from hnf_core.field.reference import synthesise_reference
 from hnf_core.field.stroke import HeightProfile, uniform_stroke
 from hnf_core.field.synthesis import prepare, render_block, synthesise, texture_term
-from hnf_core.field.timeline import action_at, condition_of, sample_count, states_of
+from hnf_core.field.timeline import condition_at, sample_count, states_of
 from hnf_core.field.weights import load_field
 from hnf_core.material.library import find
 
@@ -43,9 +43,8 @@ def of_time(function):
 
 def alpha_at(sampled, at):
     """(n, K) at any samples (n,)."""
-    out = np.zeros((len(at), sampled.emission.alpha.shape[-1]))
-    sampled.add_alpha(*sampled.place(at), np.ones(len(at)), out)
-    return out
+    row, share = sampled.place(at[:, None])
+    return between(sampled.emission.alpha[:, 0], row, share, np.ones(row.shape))
 
 
 def missed(sampled, function, count) -> float:
@@ -128,7 +127,7 @@ def test_the_shipped_field_is_within_the_tolerance(material, name):
     count = min(sample_count(action), 10_000)
 
     def emit(at):
-        return evaluate(field, condition_of(stroke, *action_at(action, index, at)))
+        return evaluate(field, condition_at(stroke, action, index, at))
 
     every = np.arange(0, count + 1, 10)
     exact = emit(every).alpha[:, 0]

@@ -27,11 +27,11 @@ from hnf_core.field.noise import band_bins, bins_of, crossfade_window
 from hnf_core.field.plain import position_beyond
 from hnf_core.field.synthesis import prepare, rendered
 from hnf_core.field.texture import REACH, texture_hops
-from hnf_core.field.timeline import action_at, condition_of, states_of
+from hnf_core.field.timeline import condition_at, states_of
 from hnf_core.field.weights import load_field
 from hnf_core.kernel import halves, library
 from hnf_core.kernel import hop as kernel_hop
-from hnf_core.kernel.contact import FEATURES, TOUCH, Tables, add_rows
+from hnf_core.kernel.contact import FEATURES, TOUCH, Tables, between_rows
 from hnf_core.kernel.contact import linear_contact as compiled_contact
 from hnf_core.kernel.hop import ArcReader, HopTables, Piece
 from hnf_core.kernel.library import kernel, plainly, why_not
@@ -146,7 +146,7 @@ def test_contact_is_numpys_to_the_last_digits(material):
     stroke = ten_seconds(3.0)
     stroke = type(stroke)(stroke.action, find(material).token[None], (find(material).mechanics,), stroke.token_index)
     action, index = states_of(stroke)
-    condition = condition_of(stroke, *action_at(action, index, np.arange(-60, 30_000, 37)))
+    condition = condition_at(stroke, action, index, np.arange(-60, 30_000, 37))
     found = linear_contact(condition, CARRIERS)
     with plainly():
         wanted = linear_contact(condition, CARRIERS)
@@ -238,12 +238,10 @@ def test_what_it_would_misread_never_reaches_it():
     for count, size in ((5, 64), (6, 96), (6, 48)):
         with pytest.raises(ValueError, match="waves"):
             compiled_waves(none, np.ones(count, complex), *given, np.ones((2, size), np.float32))
-    values, one = np.ones((5, 3)), np.ones(2)
-    for row in ([0, 4], [-1, 0]):
+    values, one = np.ones((5, 3)), np.ones((2, 1))
+    for row in ([[0], [4]], [[-1], [0]], [[0, 1], [0, 1]], [0, 1]):
         with pytest.raises(ValueError, match="rows"):
-            add_rows(none, values, np.array(row), one, one, np.zeros((2, 3)))
-    with pytest.raises(ValueError, match="rows"):
-        add_rows(none, values, np.array([0, 1]), one, one, np.zeros((2, 4)))
+            between_rows(none, values, np.array(row), one, one)
     given = {
         "features": FEATURES, "kappa": np.ones(9), "share": np.ones(9), "wavelength": np.ones(3),
         "turn": np.ones((4, 4)), "below": np.ones(9, int), "nearest_end": np.full(3, 9), "shift": np.ones(4, int),

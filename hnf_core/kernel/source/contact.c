@@ -27,6 +27,9 @@ static double *taken(double **from, int64_t count)
     return begin;
 }
 
+/* So many numbers and as many more as leave none over where WIDE are taken at once. */
+static int64_t widened(int64_t count) { return (count + WIDE - 1) / WIDE * WIDE; }
+
 /* Numbers of a row that is read from any shift on, four at once. */
 static int64_t padded(const hnf_tables *t)
 {
@@ -36,7 +39,7 @@ static int64_t padded(const hnf_tables *t)
     return t->bands + farthest + WIDE;
 }
 
-/* scratch: 6 * bands + 21 * token_bands + (3 + angles) * (bands + the farthest shift + 4). */
+/* scratch: 6 * bands + 21 * (token_bands + 3) + (3 + angles) * (bands + the farthest shift + 4). */
 contact_work contact_work_in(const hnf_tables *t, double *scratch)
 {
     int64_t count = t->token_bands, row = padded(t);
@@ -50,7 +53,7 @@ contact_work contact_work_in(const hnf_tables *t, double *scratch)
     work.passed = taken(&scratch, t->bands);
     work.leaned = taken(&scratch, t->bands);
     work.of = taken(&scratch, 3 * row);
-    work.room = scratch; /* 3 * bands, or 9 * token_bands */
+    work.room = scratch; /* 3 * bands, or 9 * (token_bands + 3) */
     for (int64_t angle = 0; angle < t->angles; angle++)
         memset(work.seen.density + angle * row + t->bands, 0, (size_t)(row - t->bands) * sizeof(double));
     for (int64_t part = 0; part < 3; part++)
@@ -115,14 +118,14 @@ static void know(const hnf_tables *t, const double *token, double *room, const k
     }
 }
 
-/* Angular density of a token's waves at an angle and at its mirror image, one number per token band. What is strictly
- * oriented is along e^(c (f - 1)) + across e^(c (-f - 1)), f = cos 2a cosine +- sin 2a sine. */
+/* Angular density of a token's waves at an angle and at its mirror image, for `count` numbers. What is strictly oriented
+ * is along e^(c (f - 1)) + across e^(c (-f - 1)), f = cos 2a cosine +- sin 2a sine. */
 static void dense(const hnf_tables *t, const double *turn, const double *const moments[4], const double *cosine,
-                  const double *sine, const double *along, const double *oriented, double *out)
+                  const double *sine, const double *along, const double *oriented, int64_t count, double *out)
 {
     const double *two_re = moments[0], *two_im = moments[1], *four_re = moments[2], *four_im = moments[3];
     double level = exp_of(-t->concentration) / t->bump_mean, share = 1.0 / (double)(2 * t->angles);
-    for (int64_t band = 0; band < t->token_bands; band++) {
+    for (int64_t band = 0; band < count; band++) {
         double even = 1.0 + 4.0 / 3.0 * two_re[band] * turn[0] + 2.0 / 3.0 * four_re[band] * turn[2];
         double odd = 4.0 / 3.0 * two_im[band] * turn[1] + 2.0 / 3.0 * four_im[band] * turn[3];
         double one = exp_of(t->concentration * cosine[band] * turn[0]), under_one = 1.0 / one;
@@ -139,12 +142,13 @@ static void dense(const hnf_tables *t, const double *turn, const double *const m
 static void see(const hnf_tables *t, const known_token *token, double angle, int64_t row, double *room,
                 const seen_token *out)
 {
-    int64_t count = t->token_bands;
+    int64_t count = t->token_bands, wide = widened(count);
     double cos_two = cos(2.0 * angle), sin_two = sin(2.0 * angle);
     double cos_four = cos_two * cos_two - sin_two * sin_two, sin_four = 2.0 * sin_two * cos_two;
-    double *two_re = taken(&room, count), *two_im = taken(&room, count), *four_re = taken(&room, count);
-    double *four_im = taken(&room, count), *cosine = taken(&room, count), *sine = taken(&room, count);
-    double *along = taken(&room, count), *oriented = taken(&room, count), *here = taken(&room, count);
+    double *two_re = taken(&room, wide), *two_im = taken(&room, wide), *four_re = taken(&room, wide);
+    double *four_im = taken(&room, wide), *cosine = taken(&room, wide), *sine = taken(&room, wide);
+    double *along = taken(&room, wide), *oriented = taken(&room, wide), *here = taken(&room, wide);
+    memset(two_re, 0, (size_t)(9 * wide) * sizeof(double));
     for (int64_t band = 0; band < count; band++) {
         two_re[band] = token->two_re[band] * cos_two + token->two_im[band] * sin_two;
         two_im[band] = token->two_im[band] * cos_two - token->two_re[band] * sin_two;
@@ -165,7 +169,7 @@ static void see(const hnf_tables *t, const known_token *token, double angle, int
     const double *const moments[4] = {two_re, two_im, four_re, four_im};
     for (int64_t a = 0; a < t->angles; a++) {
         double *density = out->density + a * row;
-        dense(t, t->turn + 4 * a, moments, cosine, sine, along, oriented, here);
+        dense(t, t->turn + 4 * a, moments, cosine, sine, along, oriented, wide, here);
         for (int64_t band = 0, k = 0; band < count; band++)
             for (double value = here[band]; k < t->nearest_end[band]; k++)
                 density[k] = value;

@@ -68,14 +68,15 @@ void hnf_inputs(const hnf_tables *t, const hnf_emitter *e, const double *tokens,
         in_time(e, power, t->bands, t->per_octave, m->speed, sums, in_bands);
         for (int64_t band = 0; band < e->time_bands; band++)
             prior[band] = log_amplitude(in_bands[band] * e->time_share, e->quiet_power);
-        for (int64_t k = 0; k < t->bands; k++) {
-            prior[e->time_bands + k] = log_amplitude(e->line_gains ? noise[k] : power[k], e->quiet_power);
-            all += power[k];
-        }
+        const double *own = e->line_gains ? noise : power;
+        for (int64_t k = 0; k < t->bands; k++)
+            prior[e->time_bands + k] = log_amplitude(own[k], e->quiet_power);
         for (int64_t j = 0; j < 2 * lines; j++)
             level[j] = line[j] + e->quiet_line_power;
         if (!x)
             continue;
+        for (int64_t k = 0; k < t->bands; k++)
+            all += power[k];
         float *to = x + state * e->inputs;
         token_of(t, e, tokens + state * token_stride, m, to);
         for (int64_t i = 0; i < e->fixed; i++)
