@@ -146,14 +146,18 @@ class _Asked:
 
     def ask(self, at: Samples) -> slice:
         """The rows of what is evaluated at these samples."""
-        parts = [self._evaluate(at[low : low + AT_ONCE]) for low in range(0, len(at), AT_ONCE)]
-        rows = slice(self.count, self.count + len(at))
-        alpha = np.concatenate([part.alpha[:, 0] for part in parts])
-        self._at = _with(self._at, rows, at)
-        self._alpha, self._power = _with(self._alpha, rows, alpha), _with(self._power, rows, _squares(alpha))
-        self._sigma_dt = _with(self._sigma_dt, rows, np.concatenate([part.sigma_dt for part in parts]))
-        self.count = rows.stop
-        return rows
+        begin = self.count
+        for low in range(0, len(at), AT_ONCE):
+            asked = at[low : low + AT_ONCE]
+            emission, rows = self._evaluate(asked), slice(self.count, self.count + len(asked))
+            alpha = emission.alpha[:, 0]
+            self._at, self._power = _with(self._at, rows, asked), _with(self._power, rows, _squares(alpha))
+            self._alpha, self._sigma_dt = (
+                _with(self._alpha, rows, alpha),
+                _with(self._sigma_dt, rows, emission.sigma_dt),
+            )
+            self.count = rows.stop
+        return slice(begin, self.count)
 
 
 def _with(kept: NDArray[Any], rows: slice, new: NDArray[Any]) -> NDArray[Any]:

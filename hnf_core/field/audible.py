@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,16 +46,18 @@ def blocks_of(count: int) -> list[tuple[int, int]]:
     return [(start, min(BLOCK, count - start)) for start in range(0, count, BLOCK)]
 
 
-def heard_blocks(audible: Float) -> Iterator[tuple[int, int]]:
-    """(start, length) of neighbouring blocks of audible (count,) that are heard, BLOCKS_AT_ONCE at most."""
+def heard_blocks(audible: Float) -> list[tuple[int, int]]:
+    """Those of all blocks in which anything of audible (count,) is heard."""
+    return [(start, count) for start, count in blocks_of(len(audible)) if audible[start : start + count].any()]
+
+
+def spans_of(blocks: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+    """(start, length) of ascending blocks, neighbours as one, BLOCKS_AT_ONCE at most."""
     begin, end = 0, 0
-    for start, count in blocks_of(len(audible)):
-        if not audible[start : start + count].any():
-            continue
-        if start > end or start - begin == BLOCKS_AT_ONCE * BLOCK:
-            if end > begin:
-                yield begin, end - begin
+    for start, count in blocks:
+        if end > begin and (start > end or start - begin == BLOCKS_AT_ONCE * BLOCK):
+            yield begin, end - begin
             begin = start
-        end = start + count
+        begin, end = (start, start + count) if end == begin else (begin, start + count)
     if end > begin:
         yield begin, end - begin

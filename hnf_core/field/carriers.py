@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +55,14 @@ class Carriers:
     arc_start_per_m: float = 50.0
     arc_octaves: int = 8
     constant: bool = False
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:
+        """Once: what is kept of carriers is looked up by them hundreds of times a stroke."""
+        return hash((self.time_edges_hz, self.arc_start_per_m, self.arc_octaves, self.constant))
 
     @property
     def time_count(self) -> int:

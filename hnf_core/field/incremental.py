@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blas import one_blas_thread
 from .audible import blocks_of
 from .contact_filter import LEAD, TAIL
 from .field import Field
+from .in_numpy import one_blas_thread_in_numpy
 from .modulation import states_read
 from .noise_ahead import noise_ahead
 from .stroke import StrokeInput, Synthesis
@@ -67,7 +67,7 @@ def render(
     blocks = blocks_of(prepared.count)
     if start is not None:
         blocks = changed_blocks(start.prepared, prepared)
-    with one_blas_thread():
+    with one_blas_thread_in_numpy():
         for first, count in blocks:
             if superseded():
                 raise Superseded

@@ -8,18 +8,16 @@ interpreter for milliseconds at a time.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import nullcontext
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blas import one_blas_thread
-from ..kernel.library import kernel
 from .band_waves import WavePlan, real_waves, wave_plan
 from .carriers import MODEL_RATE_HZ, TIME_BLOCK, Carriers
 from .hops import HOP, block_window
+from .in_numpy import one_blas_thread_in_numpy
 from .noise import Bins, band_bins, bins_of
 from .timeline import SAMPLES_PER_STATE
 
@@ -121,7 +119,7 @@ class _Making:
         part = self._parts[len(self._parts) - self.left]
         drawn = band_bins(self._seed, 0, self.index, part.bins)
         # Without the kernel it is a product of matrices, for which OpenBLAS would wake threads and wait for them.
-        with nullcontext() if kernel() is not None else one_blas_thread():
+        with one_blas_thread_in_numpy():
             real_waves(drawn, part.plan, self.waves[part.bands])
         self.left -= 1
 

@@ -3,17 +3,15 @@ than what is written to them."""
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blas import one_blas_thread
 from ..kernel.hop import Piece
-from ..kernel.library import kernel
 from .carriers import ARC_PER_OCTAVE, Carriers
 from .hops import ARC_CELLS, ARC_HOP, draw_arc_block, join_arc
+from .in_numpy import one_blas_thread_in_numpy
 
 Waves = NDArray[np.complex64]
 Kept = TypeVar("Kept")
@@ -43,7 +41,7 @@ class LiveOctave:
             room = _freed(self._blocks, number, _KEPT_BLOCKS)
             room = np.empty((ARC_PER_OCTAVE, ARC_CELLS), np.complex64) if room is None else room
             # Without the kernel it is a product of matrices, for which OpenBLAS would wake threads and wait for them.
-            with nullcontext() if kernel() is not None else one_blas_thread():
+            with one_blas_thread_in_numpy():
                 self._blocks[number] = draw_arc_block(*self._of, number, room)
         return self._blocks[number]
 

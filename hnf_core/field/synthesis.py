@@ -13,17 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..action.action import Action
-from ..blas import one_blas_thread
+from ..kernel.halves import in_halves
+from ..kernel.library import kernel
 from ..material.contact import tip_response
 from ..material.probe import PROBES
 from ..signal import Signal
 from .adaptive import accumulated, sample_emission
-from .audible import audible_gain, blocks_of, heard_blocks
+from .audible import audible_gain, blocks_of, heard_blocks, spans_of
 from .carriers import MODEL_RATE_HZ, Carriers
 from .contact_filter import LEAD, TAIL, FilterBank, filter_bank
 from .extrapolation import at_ceiling, examine
 from .field import Emission, Field, accumulate, evaluate
 from .hops import HOP
+from .in_numpy import one_blas_thread_in_numpy
 from .knots import Knots
 from .linear_contact import BAND_END_HZ, FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition, upper_fade
 from .modulation import arc_term
@@ -47,6 +49,8 @@ from .turns import turns
 Float = NDArray[np.float64]
 Evaluate = Callable[[Field, Condition], Emission]
 
+HALF = 2
+"""Blocks that are worth a thread of their own."""
 STATES_AT_ONCE = 128
 """States evaluated at once, likewise."""
 
@@ -299,9 +303,15 @@ def rendered(prepared: Prepared, start: int = 0, stop: int | None = None) -> Flo
     """Samples start … stop − 1, all of them where nothing is said, (stop − start,)."""
     stop = prepared.count if stop is None else stop
     out = np.zeros(stop - start)
-    with one_blas_thread():
-        for first, count in heard_blocks(prepared.audible[start:stop]):
+
+    def part(low: int, high: int) -> None:
+        for first, count in spans_of(blocks[low:high]):
             out[first : first + count] = render_block(prepared, start + first, count)
+
+    blocks = heard_blocks(prepared.audible[start:stop])
+    with one_blas_thread_in_numpy():
+        # In numpy a half would only wait for the interpreter, which the other one holds.
+        in_halves(part, len(blocks), HALF if kernel() is not None else len(blocks) + 1)
     return out
 
 

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .halves import in_halves
 from .library import address, pointers, rows
 
 Float = NDArray[np.float64]
@@ -29,8 +28,6 @@ _FIRST_CELL, _LAST_CELL, _PIECE = 4, 5, 6
 _FARTHEST_CELL = 2.0**52
 _ROOM = 16
 """Readings of a hop that are expected: one for each octave where a hand does not jump."""
-HALF = 2
-"""Hops that are worth a thread of their own."""
 
 
 class Piece(NamedTuple):
@@ -118,21 +115,15 @@ def hops(
     shared = ctypes.byref(tables.struct), ctypes.byref(knots)
     readings, counts = _planned(kernel, shared, first, count, place)
     table = _gathered(tables, readings, piece)
-    in_time = [_waves(tables, each) for each in waves]
+    in_time = b"".join(_waves(tables, each) for each in waves)
     pieces = pointers([each.address for each in table])
     cells = int((readings[:, _LAST_CELL] - readings[:, _FIRST_CELL]).max(initial=0)) + 1
-    begun, out = np.concatenate([[0], np.cumsum(counts)]), np.empty((count, tables.hop))
-
-    def part(low: int, high: int) -> None:
-        scratch = np.empty(3 * sum(tables.kept) + 2 * cells)
-        kernel.hnf_hops(
-            *shared, first + low * tables.hop, high - low, address(place[low * tables.hop :], np.float64),
-            b"".join(in_time[low:high]), pieces, address(readings[begun[low] :], np.int64),
-            address(counts[low:], np.int64), address(scratch, np.float64), address(out[low:], np.float64),
-        )  # fmt: skip
-
-    in_halves(part, count, HALF)
-    return out.reshape(-1)
+    scratch, out = np.empty(3 * sum(tables.kept) + 2 * cells), np.empty(count * tables.hop)
+    kernel.hnf_hops(
+        *shared, first, count, address(place, np.float64), in_time, pieces, address(readings, np.int64),
+        address(counts, np.int64), address(scratch, np.float64), address(out, np.float64),
+    )  # fmt: skip
+    return out
 
 
 class ArcReader:

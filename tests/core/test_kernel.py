@@ -83,10 +83,8 @@ def test_a_hop_is_the_one_that_numpy_reads(seed, speed, spacing):
 
 
 @needs_kernel
-@pytest.mark.parametrize("cores", [1, 2])
-def test_hops_in_a_row_are_what_each_is_alone(monkeypatch, cores):
-    """Bit for bit, on one core and on two; knots far apart and close by, a silent stretch, a hand that jumps."""
-    monkeypatch.setattr(halves, "cores", lambda: cores)
+def test_hops_in_a_row_are_what_each_is_alone():
+    """Bit for bit; knots far apart and close by, a silent stretch, a hand that jumps."""
     rng, hops = np.random.default_rng(8), range(-2, 5)
     at = np.cumsum(np.where(np.arange(400) % 100 < 50, rng.integers(1, 40, 400), rng.integers(60, 130, 400)))
     amplitude = rng.uniform(0.0, 1.0, (len(at), CARRIERS.count))
@@ -100,6 +98,17 @@ def test_hops_in_a_row_are_what_each_is_alone(monkeypatch, cores):
         np.testing.assert_array_equal(row, texture_hops(knots, CARRIERS, 5, about, range(hop, hop + 1)))
     assert np.std(found[0]) > 0.01
     assert not found[2].any()
+
+
+@needs_kernel
+def test_a_stroke_rendered_on_two_cores_is_that_of_one(monkeypatch):
+    stroke = ten_seconds(4.0)
+    prepared = prepare(load_field(), stroke, seed=2)
+    monkeypatch.setattr(halves, "cores", lambda: 1)
+    wanted = rendered(prepared)
+    monkeypatch.setattr(halves, "cores", lambda: 2)
+    assert rendered(prepared).tobytes() == wanted.tobytes()
+    assert rendered(prepared, 5000, 31_000).tobytes() == wanted[5000:31_000].tobytes()
 
 
 @pytest.mark.parametrize(("cores", "count", "threads"), [(1, 9, 1), (2, 9, 2), (2, 5, 1), (2, 0, 1)])
