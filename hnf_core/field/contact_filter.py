@@ -119,16 +119,16 @@ def filter_bank(mechanics: tuple[Mechanics, ...], material: NDArray[np.int32], f
     place = LOADS_PER_OCTAVE * np.log2(np.maximum(force, floor) / floor)
     kinds = list(dict.fromkeys(mechanics[index] for index in np.unique(material)))
     kind = np.array([kinds.index(each) if each in kinds else -1 for each in mechanics])[material]
-    contacts, weights = [], []
+    contacts: list[Contact] = []
+    weights = []
     for index, each in enumerate(kinds):
         mine = kind == index
         levels = np.arange(np.floor(place[mine].min()), np.ceil(place[mine].max()) + 1.0)
-        for level in levels:
-            hat = np.where(mine, np.maximum(1.0 - np.abs(place - level), 0.0), 0.0)
-            if hat.any():
-                contacts.append((each, PROBES[probe], floor * 2.0 ** (float(level) / LOADS_PER_OCTAVE)))
-                weights.append(hat)
-    return FilterBank(tuple(contacts), np.stack(weights, axis=1))
+        hats = np.where(mine[:, None], np.maximum(1.0 - np.abs(place[:, None] - levels), 0.0), 0.0)
+        used = np.flatnonzero(hats.any(axis=0))
+        contacts += [(each, PROBES[probe], floor * 2.0 ** (float(levels[n]) / LOADS_PER_OCTAVE)) for n in used]
+        weights.append(hats[:, used])
+    return FilterBank(tuple(contacts), np.concatenate(weights, axis=1))
 
 
 @lru_cache(maxsize=KEPT_RESPONSES)

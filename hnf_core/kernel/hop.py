@@ -198,11 +198,15 @@ def _planned(
 def _gathered(tables: HopTables, readings: Integers, piece: Callable[[int, int], Piece]) -> list[Piece]:
     """The pieces of all readings, which are told where theirs begin."""
     table: list[Piece] = []
+    met: dict[tuple[int, int], Piece] = {}
     cells = tables.piece_cells
     for reading, (octave, first, last) in enumerate(readings[:, [0, _FIRST_CELL, _LAST_CELL]].tolist()):
         readings[reading, _PIECE:] = len(table), first // cells * cells
         for number in range(first // cells, last // cells + 1):
-            table.append(_checked(tables, piece(octave, number)))
+            found = met.get((octave, number))
+            if found is None:
+                found = met[octave, number] = _checked(tables, piece(octave, number))
+            table.append(found)
     return table
 
 
