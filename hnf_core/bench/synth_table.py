@@ -37,9 +37,9 @@ class Grid:
     """Points of a table: directions over the half turn (those of an isotropic material are one), speeds and forces per
     octave."""
 
-    directions: int = 12
-    per_octave_speed: int = 32
-    per_octave_force: int = 2
+    directions: int = 8
+    per_octave_speed: int = 64
+    per_octave_force: int = 4
 
 
 @dataclass(frozen=True)
