@@ -44,11 +44,11 @@ class Grid:
 
 @dataclass(frozen=True)
 class Table:
-    """values: (D, V, F, outputs), what the α head answers and then the σ head. angle_step: radians between
+    """values: (D, V, F, outputs) float32, what the α head answers and then the σ head. angle_step: radians between
     directions, whose first is 0; the table repeats after the last. speed, force: log of the first point and step of the
     log. outputs: of the α head."""
 
-    values: Float
+    values: Float32
     angle_step: float
     speed: tuple[float, float]
     force: tuple[float, float]
@@ -80,7 +80,7 @@ def tabulate(model: Field, token: Float32, mechanics: Mechanics, probe: str, gri
 
         evaluate(model, _conditions(token, mechanics, probe, d[part], v[part], f[part]), noted)
     return Table(
-        rows.reshape(count, len(speed), len(force), -1).astype(np.float64),
+        rows.reshape(count, len(speed), len(force), -1),
         turn / count,
         (float(np.log(speed[0])), float(np.log(speed[1] / speed[0]))),
         (float(np.log(force[0])), float(np.log(force[1] / force[0]))),
@@ -91,11 +91,11 @@ def tabulate(model: Field, token: Float32, mechanics: Mechanics, probe: str, gri
 def from_table(table: Table, model: Field, condition: Condition) -> Emission:
     """What F_Θ emits at each of n states on the table's material, answered by the table."""
 
-    rows = read_table(table, condition).astype(np.float32)
+    rows = read_table(table, condition)
     return evaluate(model, condition, (rows[:, : table.outputs], rows[:, table.outputs :]))
 
 
-def read_table(table: Table, condition: Condition) -> Float:
+def read_table(table: Table, condition: Condition) -> Float32:
     """(n, outputs) what both heads would answer at each of n states."""
     directions, speeds, forces, width = table.values.shape
     rows: list[tuple[Integers, Float]] = [

@@ -22,6 +22,7 @@ from .field import Emission, FieldConfig
 from .rendering import render_weights
 
 Float = NDArray[np.float64]
+Float32 = NDArray[np.float32]
 Samples = NDArray[np.int64]
 Evaluate = Callable[[Samples], Emission]
 """Samples of the model rate (m,) → what is emitted there."""
@@ -43,11 +44,12 @@ MOST = 40_000
 
 @dataclass(frozen=True)
 class Sampled:
-    """Emissions at samples at (m,), ascending; straight lines between them. missed: power left out, over that of all,
-    as far as it can be told."""
+    """Emissions of one head at samples at (m,), ascending: alpha (m, K), sigma_dt (m, N); straight lines between them.
+    missed: power left out, over that of all, as far as it can be told."""
 
     at: Samples
-    emission: Emission
+    alpha: Float32
+    sigma_dt: Float
     missed: float
 
     def place(self, sample: Samples) -> tuple[Samples, Float]:
@@ -57,7 +59,7 @@ class Sampled:
         return row, np.clip((sample - begin) / (self.at[row + 1] - begin), 0.0, 1.0)
 
 
-def between(values: Float, row: Samples, share: Float, factor: Float) -> Float:
+def between(values: Float32, row: Samples, share: Float, factor: Float) -> Float32:
     """(n, K) Σ over terms of factor times what lies share of the way from a row of values (m, K) to the next; row,
     share, factor: (n, terms)."""
     compiled = kernel()
@@ -65,8 +67,9 @@ def between(values: Float, row: Samples, share: Float, factor: Float) -> Float:
         return between_rows(compiled, np.ascontiguousarray(values), row, share, np.ascontiguousarray(factor))
     out = np.zeros((len(row), values.shape[1]))
     for one, part, times in zip(row.T, share.T, factor.T, strict=True):
-        out += times[:, None] * (values[one] + part[:, None] * (values[one + 1] - values[one]))
-    return out
+        far = (times * part)[:, None]
+        out += (times[:, None] - far) * values[one] + far * values[one + 1]
+    return out.astype(np.float32)
 
 
 def sample_emission(evaluate: Evaluate, count: int, tolerance: float, turns: Samples | None = None) -> Sampled:
@@ -111,7 +114,8 @@ class _Asked:
     def __init__(self, evaluate: Evaluate) -> None:
         self._evaluate, self.count = evaluate, 0
         self._at = np.zeros(0, dtype=np.int64)
-        self._alpha, self._sigma_dt, self._power = np.zeros((0, 0)), np.zeros((0, 0)), np.zeros(0)
+        self._alpha = np.zeros((0, 0), dtype=np.float32)
+        self._sigma_dt, self._power = np.zeros((0, 0)), np.zeros(0)
 
     def lengths(self, intervals: Samples) -> Samples:
         """Samples (p,)."""
@@ -125,7 +129,7 @@ class _Asked:
         """Their halves (2p, 2), and what the straight line of each misses in its middle (p,), as power. rows: of the
         middles, in the order of the intervals."""
         low, high = intervals.T
-        share = ((self._at[rows] - self._at[low]) / (self._at[high] - self._at[low]))[:, None]
+        share = ((self._at[rows] - self._at[low]) / (self._at[high] - self._at[low])).astype(np.float32)[:, None]
         off, thinner = (
             each[rows] - (each[low] + share * (each[high] - each[low])) for each in (self._alpha, self._sigma_dt)
         )
@@ -142,7 +146,7 @@ class _Asked:
 
     def sampled(self, missed: float) -> Sampled:
         order = np.argsort(self._at[: self.count])
-        return Sampled(self._at[order], Emission(self._alpha[order][:, None, :], self._sigma_dt[order]), missed)
+        return Sampled(self._at[order], self._alpha[order], self._sigma_dt[order], missed)
 
     def ask(self, at: Samples) -> slice:
         """The rows of what is evaluated at these samples."""
@@ -150,7 +154,7 @@ class _Asked:
         for low in range(0, len(at), AT_ONCE):
             asked = at[low : low + AT_ONCE]
             emission, rows = self._evaluate(asked), slice(self.count, self.count + len(asked))
-            alpha = emission.alpha[:, 0]
+            alpha = emission.alpha[:, 0].astype(np.float32)
             self._at, self._power = _with(self._at, rows, asked), _with(self._power, rows, _squares(alpha))
             self._alpha, self._sigma_dt = (
                 _with(self._alpha, rows, alpha),
@@ -170,7 +174,7 @@ def _with(kept: NDArray[Any], rows: slice, new: NDArray[Any]) -> NDArray[Any]:
     return kept
 
 
-def _squares(values: Float) -> Float:
+def _squares(values: NDArray[np.floating[Any]]) -> Float:
     """(n,) sums of squares of (n, K)."""
     return np.asarray(np.einsum("nk,nk->n", values, values))
 
@@ -186,13 +190,13 @@ def _of_a_half(found: Float, before: Float) -> Float:
     return found * share
 
 
-def accumulated(config: FieldConfig, sampled: Sampled, count: int) -> tuple[Samples, Float]:
+def accumulated(config: FieldConfig, sampled: Sampled, count: int) -> tuple[Samples, Float32]:
     """Knots (m,) in 0 … count and the amplitudes (m, K) there, over the past states of each (field.accumulate)."""
     lag = round(config.spacing_s * MODEL_RATE_HZ)
     # What bends now bends again in the nearest memory; of what lies further back a hundredth is left.
     at = np.unique(np.concatenate([sampled.at, np.minimum(sampled.at + lag, count)]))
     row, share = sampled.place(at[:, None] - lag * np.arange(config.states))
-    density, state = sampled.emission.sigma_dt, np.arange(config.states)
+    density, state = sampled.sigma_dt, np.arange(config.states)
     before = density[row, state]
     weights = render_weights(before + share * (density[row + 1, state] - before))
-    return at, between(sampled.emission.alpha[:, 0], row, share, weights * (at[:, None] >= lag * state))
+    return at, between(sampled.alpha, row, share, weights * (at[:, None] >= lag * state))

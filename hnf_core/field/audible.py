@@ -26,10 +26,10 @@ def audible_gain(contact: NDArray[np.bool_], count: int) -> Float:
     indices = np.flatnonzero(contact)
     if len(indices) == 0:
         return np.zeros(count)
-    touched = contact.astype(bool)
+    touched, out = contact.astype(bool), np.ones(count)
     # 1 throughout between two states of which one touches; the rest is far from most of a stroke.
-    out = np.repeat((touched[:-1] | touched[1:]).astype(np.float64), SAMPLES_PER_STATE)[:count]
-    sample = np.flatnonzero(out == 0.0)
+    away = np.flatnonzero(~(touched[:-1] | touched[1:]))
+    sample = (SAMPLES_PER_STATE * away[:, None] + np.arange(SAMPLES_PER_STATE)).ravel()
     state = sample / SAMPLES_PER_STATE
     following = np.searchsorted(indices, state)
     ahead = np.where(following < len(indices), indices[np.minimum(following, len(indices) - 1)] - state, np.inf)

@@ -123,10 +123,13 @@ def filter_bank(mechanics: tuple[Mechanics, ...], material: NDArray[np.int32], f
     weights = []
     for index, each in enumerate(kinds):
         mine = kind == index
-        levels = np.arange(np.floor(place[mine].min()), np.ceil(place[mine].max()) + 1.0)
-        hats = np.where(mine[:, None], np.maximum(1.0 - np.abs(place[:, None] - levels), 0.0), 0.0)
+        low = np.floor(place[mine]).astype(np.int64)
+        first, row = int(low.min()), np.flatnonzero(mine)
+        hats = np.zeros((len(force), int(low.max()) - first + 2))
+        hats[row, low - first + 1] = place[mine] - low
+        hats[row, low - first] = 1.0 - hats[row, low - first + 1]
         used = np.flatnonzero(hats.any(axis=0))
-        contacts += [(each, PROBES[probe], floor * 2.0 ** (float(levels[n]) / LOADS_PER_OCTAVE)) for n in used]
+        contacts += [(each, PROBES[probe], floor * 2.0 ** (float(first + n) / LOADS_PER_OCTAVE)) for n in used]
         weights.append(hats[:, used])
     return FilterBank(tuple(contacts), np.concatenate(weights, axis=1))
 

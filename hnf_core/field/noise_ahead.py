@@ -61,14 +61,14 @@ def noise_ahead(config: FieldConfig, seed: int, action: Action, origin: int = 0)
 def _wanted(carriers: Carriers, seed: int, action: Action, origin: int) -> Iterator[Draw]:
     """Nothing where the first is still kept: then the others mostly are."""
     loud = action.contact & (action.speed > 0.0) & (action.force > 0.0)
-    sample = origin + SAMPLES_PER_STATE * np.arange(len(loud))
-    hops, first = np.unique(sample[loud] // HOP, return_index=True)
-    if len(hops) == 0:
+    if not loud.any():
         return
+    sample = origin + SAMPLES_PER_STATE * np.flatnonzero(loud)
     drawn = time_hop.cache_info().misses
-    yield partial(time_hop, carriers, seed, int(hops[0]))
+    yield partial(time_hop, carriers, seed, int(sample[0]) // HOP)
     if time_hop.cache_info().misses == drawn:
         return
+    hops, first = np.unique(sample // HOP, return_index=True)
     order: list[tuple[int, Draw]] = []
     for hop, at in zip(hops[1:MOST_TIME_HOPS].tolist(), first[1:].tolist(), strict=False):
         order.append((at, partial(time_hop, carriers, seed, hop)))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +71,7 @@ class Prepared:
     carriers: Carriers
     seed: int
     action: Action
-    amplitude: Float
+    amplitude: NDArray[np.floating[Any]]
     bank: FilterBank
     force: Float
     audible: Float
@@ -238,7 +239,7 @@ def _prepare_within(
         amplitude[fast, carriers.arc_slice] *= around[fast, None] * carriers.arc_centres() < BAND_END_HZ
     pressed = np.where(action.contact, action.force, 0.0)
     bank = filter_bank(stroke.mechanics, token_index, pressed, action.probe)
-    loudest = np.atleast_1d(np.max(sampled.emission.alpha, initial=0.0))
+    loudest = np.array([np.max(sampled.alpha, initial=0.0)], dtype=np.float64)
     return Prepared(
         carriers, seed, action, amplitude[:, None, :], bank, pressed, audible_gain(action.contact, count),
         loudest=loudest, knots=knots, missed=sampled.missed,
@@ -320,7 +321,10 @@ def render_block(prepared: Prepared, start: int, count: int) -> Float:
     audible = prepared.audible[start : start + count]
     if not audible.any():
         return np.zeros(count)
-    return np.asarray(audible * (texture_term(prepared, start, count) + contact_term(prepared, start, count)))
+    out = texture_term(prepared, start, count)
+    out += contact_term(prepared, start, count)
+    out *= audible
+    return out
 
 
 def texture_term(prepared: Prepared, start: int, count: int) -> Float:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from .library import address, pointers
 
 Float = NDArray[np.float64]
+Float32 = NDArray[np.float32]
 Integers = NDArray[np.int64]
 
 TOUCH = ("angle", "speed", "radius", "stiffness", "damping", "mass", "load_square", "rubbed", "flank")
@@ -93,16 +94,16 @@ def linear_contact(kernel: ctypes.CDLL, tables: Tables, tokens: Float, touch: Fl
     return found
 
 
-def between_rows(kernel: ctypes.CDLL, values: Float, row: Integers, share: Float, factor: Float) -> Float:
+def between_rows(kernel: ctypes.CDLL, values: Float32, row: Integers, share: Float, factor: Float) -> Float32:
     """(n, K) Σ over terms of factor times what lies share of the way from a row of values (m, K) to the next; row,
     share, factor: (n, terms). Raises ValueError where there is no such row."""
     if not row.shape == share.shape == factor.shape or row.ndim != 2:
         raise ValueError(f"rows {row.shape} with shares {share.shape} and factors {factor.shape}")
     if row.size and not 0 <= row.min() <= row.max() <= len(values) - 2:
         raise ValueError(f"rows {row.min()} to {row.max() + 1} of {len(values)}")
-    out = np.empty((len(row), values.shape[1]))
+    out = np.empty((len(row), values.shape[1]), dtype=np.float32)
     kernel.hnf_between_rows(
-        address(values, np.float64), values.shape[1], address(row, np.int64), address(share, np.float64),
-        address(factor, np.float64), row.shape[1], len(row), address(out, np.float64),
+        address(values, np.float32), values.shape[1], address(row, np.int64), address(share, np.float64),
+        address(factor, np.float64), row.shape[1], len(row), address(out, np.float32),
     )  # fmt: skip
     return out

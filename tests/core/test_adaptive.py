@@ -44,7 +44,7 @@ def of_time(function):
 def alpha_at(sampled, at):
     """(n, K) at any samples (n,)."""
     row, share = sampled.place(at[:, None])
-    return between(sampled.emission.alpha[:, 0], row, share, np.ones(row.shape))
+    return between(sampled.alpha, row, share, np.ones(row.shape))
 
 
 def missed(sampled, function, count) -> float:

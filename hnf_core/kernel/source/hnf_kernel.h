@@ -145,8 +145,8 @@ HNF_EXPORT void hnf_press(const double *force, int64_t states, const double *wei
                           int64_t first, int64_t count, double *out);
 
 /* rows.c */
-HNF_EXPORT void hnf_between_rows(const double *values, int64_t width, const int64_t *row, const double *share,
-                                 const double *factor, int64_t terms, int64_t count, double *out);
+HNF_EXPORT void hnf_between_rows(const float *values, int64_t width, const int64_t *row, const double *share,
+                                 const double *factor, int64_t terms, int64_t count, float *out);
 
 /* turns.c */
 HNF_EXPORT void hnf_bends(const double *course, int64_t states, int64_t channels, double bent, uint8_t *kept);
