@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -11,6 +10,7 @@ from functools import partial
 import numpy as np
 
 from ..action.action import Action
+from ..kernel.halves import beside, cores
 from ..kernel.library import kernel
 from .carriers import Carriers
 from .field import FieldConfig
@@ -36,7 +36,7 @@ def noise_ahead(config: FieldConfig, seed: int, action: Action, origin: int = 0)
     that is rendered plainly. action: at ACTION_RATE_HZ.
     """
     carriers, plainly = config.carriers, config.alpha_heads > 1 or config.carriers.constant
-    if kernel() is None or (os.cpu_count() or 1) < 2 or plainly or not carriers.time_count:
+    if kernel() is None or cores() < 2 or plainly or not carriers.time_count:
         yield
         return
     stop = threading.Event()
@@ -49,13 +49,12 @@ def noise_ahead(config: FieldConfig, seed: int, action: Action, origin: int = 0)
                     return
                 each()
 
-    thread = threading.Thread(target=draw, name="hnf-noise", daemon=True)
-    thread.start()
+    wait = beside(draw)
     try:
         yield
     finally:
         stop.set()
-        thread.join()
+        wait()
 
 
 def _wanted(carriers: Carriers, seed: int, action: Action, origin: int) -> Iterator[Draw]:

@@ -117,7 +117,7 @@ def test_halves_are_all_of_it_and_tell_what_went_wrong(monkeypatch, cores, count
     done, who = np.zeros(count), set()
 
     def work(low, high):
-        who.add(threading.current_thread())
+        who.add(threading.get_ident())
         done[low:high] += 1.0
         if high == 9 and count == 9 and failing:
             raise ValueError("the later half")
