@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,15 +46,12 @@ def blocks_of(count: int) -> list[tuple[int, int]]:
     return [(start, min(BLOCK, count - start)) for start in range(0, count, BLOCK)]
 
 
-def heard_blocks(audible: Float) -> list[tuple[int, int]]:
-    """Those of all blocks in which anything of audible (count,) is heard."""
-    return [(start, count) for start, count in blocks_of(len(audible)) if audible[start : start + count].any()]
-
-
-def spans_of(blocks: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
-    """(start, length) of ascending blocks, neighbours as one, BLOCKS_AT_ONCE at most."""
+def heard_spans(audible: Float) -> Iterator[tuple[int, int]]:
+    """(start, length) of neighbouring blocks in which anything of audible (count,) is heard, BLOCKS_AT_ONCE at most."""
     begin, end = 0, 0
-    for start, count in blocks:
+    for start, count in blocks_of(len(audible)):
+        if not audible[start : start + count].any():
+            continue
         if end > begin and (start > end or start - begin == BLOCKS_AT_ONCE * BLOCK):
             yield begin, end - begin
             begin = start

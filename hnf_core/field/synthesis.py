@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..action.action import Action
-from ..kernel.halves import in_halves
+from ..kernel.halves import beside, cores
 from ..kernel.library import kernel
 from ..material.contact import tip_response
 from ..material.probe import PROBES
 from ..signal import Signal
 from .adaptive import accumulated, sample_emission
-from .audible import audible_gain, blocks_of, heard_blocks, spans_of
+from .audible import BLOCK, audible_gain, blocks_of, heard_spans
 from .carriers import MODEL_RATE_HZ, Carriers
 from .contact_filter import LEAD, TAIL, FilterBank, filter_bank
 from .extrapolation import at_ceiling, examine
@@ -50,8 +50,8 @@ from .turns import turns
 Float = NDArray[np.float64]
 Evaluate = Callable[[Field, Condition], Emission]
 
-HALF = 2
-"""Blocks that are worth a thread of their own."""
+MANY = 4 * BLOCK
+"""Samples whose pressing is worth a thread of its own."""
 STATES_AT_ONCE = 128
 """States evaluated at once, likewise."""
 
@@ -304,15 +304,9 @@ def rendered(prepared: Prepared, start: int = 0, stop: int | None = None) -> Flo
     """Samples start … stop − 1, all of them where nothing is said, (stop − start,)."""
     stop = prepared.count if stop is None else stop
     out = np.zeros(stop - start)
-
-    def part(low: int, high: int) -> None:
-        for first, count in spans_of(blocks[low:high]):
-            out[first : first + count] = render_block(prepared, start + first, count)
-
-    blocks = heard_blocks(prepared.audible[start:stop])
     with one_blas_thread_in_numpy():
-        # In numpy a half would only wait for the interpreter, which the other one holds.
-        in_halves(part, len(blocks), HALF if kernel() is not None else len(blocks) + 1)
+        for first, count in heard_spans(prepared.audible[start:stop]):
+            out[first : first + count] = render_block(prepared, start + first, count)
     return out
 
 
@@ -321,8 +315,18 @@ def render_block(prepared: Prepared, start: int, count: int) -> Float:
     audible = prepared.audible[start : start + count]
     if not audible.any():
         return np.zeros(count)
-    out = texture_term(prepared, start, count)
-    out += contact_term(prepared, start, count)
+    if count < MANY or kernel() is None or cores() < 2:
+        out = texture_term(prepared, start, count)
+        out += contact_term(prepared, start, count)
+    else:
+        felt: list[Float] = []
+        # Numpy would only wait for the interpreter, which the other thread holds.
+        wait = beside(lambda: felt.append(contact_term(prepared, start, count)))
+        try:
+            out = texture_term(prepared, start, count)
+        finally:
+            wait()
+        out += felt[0]
     out *= audible
     return out
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .halves import in_halves
 from .library import address, pointers, rows
 
 Float = NDArray[np.float64]
@@ -25,6 +26,8 @@ _MOST_LEVELS = 8
 _READING = 8
 """Numbers of an hnf_reading."""
 _FIRST_CELL, _LAST_CELL, _PIECE = 4, 5, 6
+HALF = 2
+"""Hops that are worth a thread of their own."""
 _FARTHEST_CELL = 2.0**52
 _ROOM = 16
 """Readings of a hop that are expected: one for each octave where a hand does not jump."""
@@ -118,12 +121,19 @@ def hops(
     in_time = b"".join(_waves(tables, each) for each in waves)
     pieces = pointers([each.address for each in table])
     cells = int((readings[:, _LAST_CELL] - readings[:, _FIRST_CELL]).max(initial=0)) + 1
-    scratch, out = np.empty(3 * sum(tables.kept) + 2 * cells), np.empty(count * tables.hop)
-    kernel.hnf_hops(
-        *shared, first, count, address(place, np.float64), in_time, pieces, address(readings, np.int64),
-        address(counts, np.int64), address(scratch, np.float64), address(out, np.float64),
-    )  # fmt: skip
-    return out
+    begun, out = np.concatenate([[0], np.cumsum(counts)]), np.empty((count, tables.hop))
+    waves_each = len(in_time) // max(count, 1)
+
+    def part(low: int, high: int) -> None:
+        scratch = np.empty(3 * sum(tables.kept) + 2 * cells)
+        kernel.hnf_hops(
+            *shared, first + low * tables.hop, high - low, address(place[low * tables.hop :], np.float64),
+            in_time[low * waves_each :], pieces, address(readings[begun[low] :], np.int64),
+            address(counts[low:], np.int64), address(scratch, np.float64), address(out[low:], np.float64),
+        )  # fmt: skip
+
+    in_halves(part, count, HALF)
+    return out.reshape(-1)
 
 
 class ArcReader:
