@@ -20,7 +20,7 @@ static void *found(void *library, const char *name) { return dlsym(library, name
     if (!name##_) { printf("no %s\n", #name); return 1; }
 
 enum { COUNT = 300, BANDS = 9, CELLS = 64, LENGTH = 512, WAVES = 6, WIDEST = 20, ARC = 192, TOKEN = 7, STATES = 7,
-       ANGLES = 12, FEATURES = 7, HOP = 128, REACH = 8, EDGES = 9,
+       ANGLES = 12, FEATURES = 7, HOP = 128, HOPS = 2, REACH = 8, EDGES = 9, FARTHEST = 121,
        INPUTS = TOKEN * FEATURES + 2 + 4 + EDGES + 3, OUTPUTS = EDGES + 11 + 2 * 2 * TOKEN };
 
 static uint64_t state = 88172645463325252u;
@@ -59,16 +59,17 @@ static float amplitude[5 * BANDS], waves[BANDS * COUNT], share[COUNT], out[COUNT
 static float window[LENGTH], slow[2 * WIDEST * LENGTH], cosine[WAVES * LENGTH], sine[WAVES * LENGTH], real[WAVES * LENGTH];
 static hnf_complex pieces[2][BANDS * CELLS], turned[WAVES * LENGTH];
 static double place[COUNT], level[COUNT], drawn[2 * COUNT], bins[2 * WAVES * WIDEST], kappa[ARC], between[ARC];
-static double wavelength[TOKEN], turn[4 * ANGLES], tokens[STATES * TOKEN * FEATURES], table[10 * ARC], rows[STATES * ARC];
-static double room[8 * ARC + (ANGLES + 9) * TOKEN + EDGES + 1], power[STATES * ARC], noise[STATES * ARC], normal[STATES];
+static double wavelength[TOKEN], turn[4 * ANGLES], tokens[STATES * TOKEN * FEATURES], pressed[STATES * 20], felt[12 * 20];
+static double room[12 * ARC + 30 * TOKEN + 100 + (3 + ANGLES) * (ARC + FARTHEST + 4)], power[STATES * ARC], noise[STATES * ARC], normal[STATES];
 static double lines[4 * STATES * TOKEN], part[STATES], factor[STATES];
-static double path[HOP + 2 * REACH], hopped[HOP];
-static float half_band[8];
+static double path[HOPS * HOP + 2 * REACH], hopped[HOPS * HOP];
+static float half_band[8], table[10 * ARC], rows[STATES * ARC];
+static uint8_t kept[COUNT];
 static double shift_of[TOKEN * FEATURES], scale_of[TOKEN * FEATURES], skip[EDGES + ARC], edge[EDGES + 1];
 static double knot_share[ARC], prior[STATES * (EDGES + ARC)], line[4 * STATES * TOKEN], alpha[STATES * (EDGES + ARC)];
 static float network[STATES * INPUTS], head[STATES * OUTPUTS];
 static hnf_motion motion[STATES];
-static int64_t knot[ARC], row[COUNT], below[ARC], nearest[ARC], shift[ANGLES], low[2 * STATES * TOKEN], at[STATES];
+static int64_t knot[ARC], row[COUNT], below[ARC], nearest[TOKEN], shift[ANGLES], low[2 * STATES * TOKEN], at[STATES];
 static hnf_touch touch[STATES];
 
 int main(int given, char **words)
@@ -78,8 +79,9 @@ int main(int given, char **words)
         printf("the library does not load\n");
         return 1;
     }
-    FIND(hnf_abi) FIND(hnf_has_wide_vectors) FIND(hnf_linear_contact) FIND(hnf_add_rows)
-    FIND(hnf_bins) FIND(hnf_real_waves) FIND(hnf_complex_waves) FIND(hnf_plan_hop) FIND(hnf_hop) FIND(hnf_place) FIND(hnf_read_arcs)
+    FIND(hnf_abi) FIND(hnf_has_wide_vectors) FIND(hnf_linear_contact) FIND(hnf_between_rows)
+    FIND(hnf_bins) FIND(hnf_real_waves) FIND(hnf_complex_waves) FIND(hnf_plan_hops) FIND(hnf_hops)
+    FIND(hnf_place) FIND(hnf_press) FIND(hnf_bends) FIND(hnf_read_arcs)
     FIND(hnf_inputs) FIND(hnf_emitted) FIND(hnf_layers)
     printf("version %d, wide vectors %d\n", (int)hnf_abi_(), (int)hnf_has_wide_vectors_());
 
@@ -92,26 +94,26 @@ int main(int given, char **words)
     }
     fill((float *)pieces, 4 * BANDS * CELLS);
     double states[5] = {0.1, 0.12, 0.12, 0.15, 0.1};
-    hnf_place_(states, 5, 20, REACH - 100, HOP + 2 * REACH, path);
-    say("place", path, HOP + 2 * REACH, 9);
+    hnf_place_(states, 5, 20, REACH - 100, HOPS * HOP + 2 * REACH, path);
+    say("place", path, HOPS * HOP + 2 * REACH, 9);
     int64_t margin[2] = {0, 4}, time_band[2] = {1, 0}, time_bands[2] = {1, 1}, when[4] = {-50, 10, 40, 300};
     double cells_per_m[2] = {101.3, 203.7};
     fill(half_band, 8);
     hnf_carriers carriers = {HOP, REACH, 2, 0, 2, 2, 2, CELLS, 4, 1e4, 0.25, 4800.0, 50.0, 0.09375, margin, time_band,
                              time_bands, cells_per_m, half_band, cubic};
     hnf_knots knots = {when, amplitude, 4, BANDS};
-    hnf_reading readings[4];
-    int64_t found_readings = hnf_plan_hop_(&carriers, &knots, 0, path, 4, readings);
+    hnf_reading readings[4 * HOPS];
+    int64_t counts[HOPS], found_readings = hnf_plan_hops_(&carriers, &knots, 0, HOPS, path, 4 * HOPS, readings, counts);
     for (int i = 0; i < found_readings; i++) {
-        readings[i].piece = 0, readings[i].piece_cell = -8;
+        readings[i].piece = 0, readings[i].piece_cell = -CELLS;
         printf("reading %d %d %d %d %d %d\n", (int)readings[i].octave, (int)readings[i].level, (int)readings[i].start,
                (int)readings[i].count, (int)readings[i].first_cell, (int)readings[i].last_cell);
     }
-    const float *time_waves[2] = {waves, waves + COUNT};
+    const float *time_waves[2 * HOPS] = {waves, waves + COUNT, NULL, waves};
     const hnf_complex *hops[2] = {pieces[0], pieces[1]};
-    hnf_hop_(&carriers, &knots, 0, path, time_waves, hops, readings, found_readings, room, hopped);
-    say("hop", hopped, HOP, 5);
-    hnf_read_arcs_(&carriers, amplitude, BANDS, hops, readings, found_readings, path, row, share, HOP, room, out);
+    hnf_hops_(&carriers, &knots, 0, HOPS, path, time_waves, hops, readings, counts, room, hopped);
+    say("hops", hopped, HOPS * HOP, 5);
+    hnf_read_arcs_(&carriers, amplitude, BANDS, hops, readings, counts[0], path, row, share, HOP, room, out);
     say_single("read_arcs", out, HOP);
 
     hnf_bins_(word(), word(), word(), 1001, 7, COUNT, level, drawn);
@@ -129,7 +131,7 @@ int main(int given, char **words)
 
     for (int k = 0; k < ARC; k++) {
         kappa[k] = 50.0 * exp2(k / 24.0);
-        below[k] = k / 32, between[k] = k % 32 / 32.0, nearest[k] = k / 28;
+        below[k] = k / 32, between[k] = k % 32 / 32.0;
     }
     for (int a = 0; a < ANGLES; a++) {
         double delta = (a + 0.5) * 0.1308997;
@@ -138,7 +140,7 @@ int main(int given, char **words)
         turn[4 * a + 2] = cos(4 * delta), turn[4 * a + 3] = sin(4 * delta);
     }
     for (int b = 0; b < TOKEN; b++)
-        wavelength[b] = 0.01 * exp2(-b);
+        wavelength[b] = 0.01 * exp2(-b), nearest[b] = (b + 1) * ARC / TOKEN;
     for (int i = 0; i < STATES * TOKEN * FEATURES; i++)
         tokens[i] = i % FEATURES == 0 ? -5.0 + uniform() : uniform() - 0.3;
     for (int i = 0; i < STATES; i++)
@@ -176,10 +178,22 @@ int main(int given, char **words)
     hnf_layers_(weights, biases, widths, 2, amplitude, scratch, head, head + 11);
     say_single("layers", head, 14);
     for (int i = 0; i < 10 * ARC; i++)
-        table[i] = uniform();
+        table[i] = (float)uniform();
     for (int i = 0; i < STATES; i++)
         at[i] = i, part[i] = uniform(), factor[i] = uniform();
-    hnf_add_rows_(table, ARC, at, part, factor, STATES, rows);
-    say("add_rows", rows, STATES * ARC, 9);
+    hnf_between_rows_(table, ARC, at, part, factor, 1, STATES, rows);
+    say_single("between_rows", rows, STATES * ARC);
+    for (int i = 0; i < 12 * 20; i++)
+        felt[i] = uniform() - 0.5;
+    int64_t rows_of[2] = {12, 7};
+    const double *felt_of[2] = {felt, felt + 20};
+    hnf_press_(part, STATES, tokens, 2, felt_of, rows_of, 3, 20, -2, STATES, pressed);
+    say("press", pressed, STATES * 20, 9);
+    kept[0] = kept[99] = 1;
+    hnf_bends_(drawn, 100, 3, 0.25, kept);
+    int bends = 0;
+    for (int i = 0; i < 100; i++)
+        bends += kept[i] * (i + 1);
+    printf("bends %d\n", bends);
     return 0;
 }
