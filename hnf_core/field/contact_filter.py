@@ -91,15 +91,15 @@ class FilterBank:
         """In numpy: what the kernel is tested against."""
         near = force[np.clip(np.arange(first - STATES_BEHIND, first + count + STATES_AHEAD), 0, len(force) - 1)]
         out = np.zeros((count, SAMPLES_PER_STATE))
-        # The responses pass nothing constant on, and most hands press evenly for a while.
-        if near.min() == near.max():
-            return out.reshape(-1)
         around = sliding_window_view(near, STATES_BEHIND + 1 + STATES_AHEAD)
         states = np.clip(np.arange(first, first + count + 1), 0, len(force) - 1)
         for each in self._used(slice(states[0], states[-1] + 1)):
             table, weight = self._given.tables[each], self.weights[states, each]
-            fade = weight[:-1, None] * (1.0 - _SHARE) + weight[1:, None] * _SHARE
-            out += fade * (np.ascontiguousarray(around[:, -len(table) :]) @ table)
+            pressing = around[:, -len(table) :]
+            # The responses pass nothing constant on, and most hands press evenly for a while.
+            rows = np.flatnonzero(np.ptp(pressing, axis=1) > 0.0)
+            fade = weight[rows, None] * (1.0 - _SHARE) + weight[rows + 1, None] * _SHARE
+            out[rows] += fade * (pressing[rows] @ table)
         return out.reshape(-1)
 
     @cached_property
