@@ -90,7 +90,6 @@ def tabulate(model: Field, token: Float32, mechanics: Mechanics, probe: str, gri
 
 def from_table(table: Table, model: Field, condition: Condition) -> Emission:
     """What F_Θ emits at each of n states on the table's material, answered by the table."""
-
     rows = read_table(table, condition)
     return evaluate(model, condition, (rows[:, : table.outputs], rows[:, table.outputs :]))
 

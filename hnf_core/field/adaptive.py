@@ -156,10 +156,8 @@ class _Asked:
             emission, rows = self._evaluate(asked), slice(self.count, self.count + len(asked))
             alpha = emission.alpha[:, 0].astype(np.float32)
             self._at, self._power = _with(self._at, rows, asked), _with(self._power, rows, _squares(alpha))
-            self._alpha, self._sigma_dt = (
-                _with(self._alpha, rows, alpha),
-                _with(self._sigma_dt, rows, emission.sigma_dt),
-            )
+            self._alpha = _with(self._alpha, rows, alpha)
+            self._sigma_dt = _with(self._sigma_dt, rows, emission.sigma_dt)
             self.count = rows.stop
         return slice(begin, self.count)
 

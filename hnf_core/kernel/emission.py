@@ -124,7 +124,7 @@ def inputs(
     their floors; touch: (n, 9) columns TOUCH. Raises ValueError where shapes do not fit.
     """
     states = len(tokens)
-    _check(emitter, states, tokens, fixed, motion, touch)
+    _check(emitter, tokens, fixed, motion, touch)
     x, expected = np.empty((states, emitter.inputs), dtype=np.float32), Expected.empty(states, emitter)
 
     def part(low: int, high: int) -> None:
@@ -162,8 +162,8 @@ def emitted(kernel: ctypes.CDLL, emitter: Emitter, head: Float32, motion: Float,
 def answered(kernel: ctypes.CDLL, emitter: Emitter, tokens: Float, motion: Float, touch: Float, head: Float32) -> Float:
     """emitted() of a head (n, outputs) that has answered without being asked: no inputs are made. The rest as of
     inputs()."""
-    states = len(head)
-    _check(emitter, states, tokens, np.empty((states, emitter.fixed)), motion, touch)
+    states = len(tokens)
+    _check(emitter, tokens, None, motion, touch)
     _check_answers(emitter, head, motion)
     alpha = np.empty((states, emitter.carriers))
 
@@ -210,7 +210,7 @@ class OneState:
         if not fits or any(len(bias) != shape[0] for bias, shape in zip(biases, shapes, strict=True)):
             raise ValueError(f"layers of {shapes} for {emitter.inputs} inputs and {emitter.outputs} outputs")
         self._motion, self._touch = np.ones((1, len(MOTION))), np.ones((1, len(TOUCH)))
-        _check(emitter, 1, token, fixed, self._motion, self._touch)
+        _check(emitter, token, fixed, self._motion, self._touch)
         x, expected = np.empty((1, emitter.inputs), dtype=np.float32), Expected.empty(1, emitter)
         widths = np.array([shapes[0][1], *(shape[0] for shape in shapes)], dtype=np.int64)
         room = np.empty(max(emitter.room, emitter.emitted_room))
@@ -245,8 +245,9 @@ class OneState:
         return self._alpha, self._sigma
 
 
-def _check(emitter: Emitter, states: int, tokens: Float, fixed: Float, motion: Float, touch: Float) -> None:
-    shapes = fixed.shape, motion.shape, touch.shape
+def _check(emitter: Emitter, tokens: Float, fixed: Float | None, motion: Float, touch: Float) -> None:
+    states = len(tokens)
+    shapes = (states, emitter.fixed) if fixed is None else fixed.shape, motion.shape, touch.shape
     if shapes != ((states, emitter.fixed), (states, len(MOTION)), (states, len(TOUCH))):
         raise ValueError(f"{states} tokens with {shapes}")
     if tokens.shape[1] < emitter.token_size:

@@ -16,8 +16,9 @@ from hnf_core.field.emitter import emitter_of, fits
 from hnf_core.field.field import Field, FieldConfig, evaluate, initial_parameters
 from hnf_core.field.linear_contact import Condition
 from hnf_core.field.live_emission import LiveEmission
+from hnf_core.field.network import heads
 from hnf_core.field.weights import load_field
-from hnf_core.kernel import emission
+from hnf_core.kernel import emission, halves
 from hnf_core.kernel.contact import TOUCH
 from hnf_core.kernel.emission import MOTION, Expected, OneState
 from hnf_core.kernel.library import kernel, plainly, why_not
@@ -135,6 +136,13 @@ def test_what_the_kernel_would_misread_never_reaches_it():
     for wrong in ((head[:, 1:], motion, expected), (head, motion[:1], expected)):
         with pytest.raises(ValueError, match="answers"):
             emission.emitted(none, emitter, *wrong)
+    for wrong in (
+        (tokens, motion, touch[:1], head),
+        (tokens, motion, touch, head[:, 1:]),
+        (tokens[:1], motion, touch, head),
+    ):
+        with pytest.raises(ValueError, match=r"tokens|answers"):
+            emission.answered(none, emitter, *wrong)
     with pytest.raises(ValueError, match="expected"):
         emission.emitted(none, emitter, head, motion, Expected.empty(3, emitter))
     for change in ({"arc_knots": 99}, {"line_gains": False, "hidden": 8}):
@@ -156,6 +164,24 @@ def test_what_the_kernel_would_misread_never_reaches_it():
         OneState(emitter, [each.astype(float) for each in weights], *state[2:])
     with pytest.raises(struct.error):
         OneState(*state).at(none, np.ones(len(MOTION) - 1), np.ones(len(TOUCH)))
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_answers_that_are_there_emit_what_answers_that_are_asked_for_do(monkeypatch, name):
+    """No inputs are made for them; on one core and on two, bit for bit."""
+    field, condition, said = field_of(name), states(6, 300), []
+
+    def noted(x):
+        said.append(heads(field.parameters, field.config.layers, x))
+        return said[-1]
+
+    wanted = evaluate(field, condition, noted)
+    for cores in (1, 2):
+        monkeypatch.setattr(halves, "cores", lambda cores=cores: cores)
+        for found in (evaluate(field, condition, said[0]), evaluate(field, condition, lambda _: said[0])):
+            np.testing.assert_array_equal(found.alpha, wanted.alpha)
+            np.testing.assert_array_equal(found.sigma_dt, wanted.sigma_dt)
+    assert wanted.alpha.max() > 0.0
 
 
 def test_a_table_answers_what_the_network_does():

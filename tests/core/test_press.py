@@ -35,7 +35,7 @@ def test_the_kernel_presses_as_numpy_does(steps, start, count, probe, seed):
     with plainly():
         wanted = bank.force_term(force, start, count)
     assert found.shape == (count,)
-    np.testing.assert_allclose(found, wanted, atol=1e-13 * 1e3)
+    np.testing.assert_allclose(found, wanted, atol=1e-10)
     middle = count // 2
     parts = [bank.force_term(force, start, middle), bank.force_term(force, start + middle, count - middle)]
     np.testing.assert_array_equal(np.concatenate(parts), found)
