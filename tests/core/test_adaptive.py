@@ -102,6 +102,22 @@ def test_a_jump_is_closed_in_on_and_no_further():
     assert len(asked) < 80
 
 
+@pytest.mark.parametrize("tolerance", [0.05, 0.03, 0.02, 0.01])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_no_round_is_of_a_handful(seed, tolerance):
+    """A round has its own cost, whatever it asks for. Kinks of every size, which halving finds one after another."""
+    heights = 0.2 + np.random.default_rng(seed).random(120) ** 3
+    emission, rounds = of_time(lambda at: np.interp(at, 900 * np.arange(120) + 37, heights)), []
+
+    def emit(at):
+        rounds.append(len(at))
+        return emission(at)
+
+    sample_emission(emit, 900 * 119, tolerance)
+    assert len(rounds) <= 5
+    assert min(rounds) >= 10
+
+
 def test_what_cannot_be_followed_is_told():
     """A field that is another at every sample."""
     rng = np.random.default_rng(0).random(8001)
