@@ -41,6 +41,11 @@ def audible_gain(contact: NDArray[np.bool_], count: int) -> Float:
     return out
 
 
+def is_heard(audible: Float) -> bool:
+    """Whether any of audible (count,) is heard: its largest is found sooner than any()."""
+    return bool(audible.max(initial=0.0) > 0.0)
+
+
 def blocks_of(count: int) -> list[tuple[int, int]]:
     """(start, length) of the blocks in which count samples are rendered."""
     return [(start, min(BLOCK, count - start)) for start in range(0, count, BLOCK)]
@@ -50,7 +55,7 @@ def heard_spans(audible: Float) -> Iterator[tuple[int, int]]:
     """(start, length) of neighbouring blocks in which anything of audible (count,) is heard, BLOCKS_AT_ONCE at most."""
     begin, end = 0, 0
     for start, count in blocks_of(len(audible)):
-        if not audible[start : start + count].any():
+        if not is_heard(audible[start : start + count]):
             continue
         if end > begin and (start > end or start - begin == BLOCKS_AT_ONCE * BLOCK):
             yield begin, end - begin

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .audible import blocks_of
+from .audible import blocks_of, is_heard
 from .contact_filter import LEAD, TAIL
 from .field import Field
 from .in_numpy import one_blas_thread_in_numpy
@@ -115,7 +115,7 @@ def changed_blocks(old: Prepared, new: Prepared) -> list[tuple[int, int]]:
         low = (start - TAIL) // SAMPLES_PER_STATE - _SPLINE_STATES
         far = slice(max(low, 0), (start + count + LEAD) // SAMPLES_PER_STATE + _SPLINE_STATES + 1)
         if audible[start : start + count].any() or (
-            new.audible[start : start + count].any()
+            is_heard(new.audible[start : start + count])
             and (texture[near].any() or pressing[far].any() or height[far].any())
         ):
             blocks.append((start, count))

@@ -20,7 +20,7 @@ from ..material.contact import tip_response
 from ..material.probe import PROBES
 from ..signal import Signal
 from .adaptive import accumulated, sample_emission
-from .audible import BLOCK, audible_gain, blocks_of, heard_spans
+from .audible import BLOCK, audible_gain, blocks_of, heard_spans, is_heard
 from .carriers import MODEL_RATE_HZ, Carriers
 from .contact_filter import LEAD, TAIL, FilterBank, filter_bank
 from .extrapolation import at_ceiling, examine
@@ -313,7 +313,7 @@ def rendered(prepared: Prepared, start: int = 0, stop: int | None = None) -> Flo
 def render_block(prepared: Prepared, start: int, count: int) -> Float:
     """Samples start … start + count − 1 of the model rate in m/s², (count,) float64; independent of other blocks."""
     audible = prepared.audible[start : start + count]
-    if not audible.any():
+    if not is_heard(audible):
         return np.zeros(count)
     if count < MANY or kernel() is None or cores() < 2:
         out = texture_term(prepared, start, count)
