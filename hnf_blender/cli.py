@@ -61,7 +61,8 @@ def surface_of_scene(path: Path, origin: Mapping[str, str], object_name: str | N
     _know_strokes()
     import bpy
 
-    from .bridge.importers import metres_per_unit, open_scene
+    from .bridge.importers import open_scene
+    from .bridge.metres import metres_per_unit
     from .bridge.touched_surface import surface_in_scene
 
     scene, view_layer = open_scene(path), bpy.context.view_layer

@@ -1,31 +1,16 @@
-"""Preferences of the add-on, and how the rest of it reads them."""
+"""Preferences of the add-on; state/settings.py is how the rest of it reads them."""
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import bpy
 
 from hnf_core.material.probe import PROBES
 
 from .state.session import STATE
+from .state.settings import DEFAULTS
 from .translations import tr
-
-
-class Settings(NamedTuple):
-    """What holds where the add-on was not switched on through the preferences (tests, the command line).
-
-    overlay: draw strokes in the 3-D view. default_probe: of new strokes. output: where strokes are played.
-    external_python: the program that learns materials, "" = none.
-    """
-
-    overlay: bool = True
-    default_probe: str = "pen"
-    output: str = ""
-    external_python: str = ""
-
-
-DEFAULTS = Settings()
 
 
 class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy has no types
@@ -76,12 +61,6 @@ class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy h
         row.operator("hnf.assets_remove", text="Remove")
         layout.label(text="No torch needed: drawing, baking, preview and export run in Blender as it is", icon="INFO")
         draw_outside_python(layout, self)
-
-
-def settings(context: Any = None) -> Any:
-    """The preferences, or DEFAULTS where Blender keeps none for this package; the names are the same."""
-    addon = (context or bpy.context).preferences.addons.get(__package__)
-    return DEFAULTS if addon is None or addon.preferences is None else addon.preferences
 
 
 def register() -> None:

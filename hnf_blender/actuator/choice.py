@@ -6,7 +6,7 @@ from functools import lru_cache
 from importlib.util import find_spec
 from typing import Any
 
-from ..prefs import Settings, settings
+from ..state.settings import Settings, settings
 from ..translations import tr
 from .state import ACTUATOR, SPEAKERS, VIRTUAL, Output
 

@@ -12,7 +12,7 @@ from hnf_core.cli.touch import TouchRequest
 from hnf_core.errors import SceneError
 from hnf_core.files import write_bytes
 
-from ..bridge.importers import metres_per_unit
+from ..bridge.metres import metres_per_unit
 from ..bridge.strokes import stroke_objects
 from ..preview.stroke_bake import stroke_bake_of
 from ..state.session import Freshness

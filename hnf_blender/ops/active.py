@@ -1,4 +1,4 @@
-"""Which stroke the artist works on, and how long a Blender unit is."""
+"""Which stroke the artist works on, and what a new one is touched with."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from typing import Any
 
 from hnf_core.errors import HnfError
 
-from ..prefs import settings
 from ..props.scene import place_in
+from ..state.settings import settings
 from ..translations import tr
 
 AS_SET = "AS_SET"
@@ -33,13 +33,6 @@ def make_shown(context: Any, stroke: Any) -> str:
     hidden = show_collection(stroke, context.view_layer)
     make_active(context, stroke)
     return tr("; the collection '{name}' was hidden and is shown again").format(name=COLLECTION) if hidden else ""
-
-
-def metres_of(scene: Any) -> float:
-    """Metres per Blender unit as the Scene panel says."""
-    from ..bridge.importers import metres_per_unit
-
-    return metres_per_unit(scene, float(scene.hnf.metres_per_unit) or None)
 
 
 def probe_of(context: Any, chosen: str) -> str:

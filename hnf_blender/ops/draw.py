@@ -11,9 +11,10 @@ from hnf_core.errors import HnfError, SceneError
 from hnf_core.material.probe import PROBES
 from hnf_core.units import m_to_mm, mm_to_m
 
+from ..bridge.metres import metres_per_unit
 from ..props.stroke import FORCE_MAX_N
 from ..translations import tr
-from .active import AS_SET, make_shown, metres_of, one_line, probe_of
+from .active import AS_SET, make_shown, one_line, probe_of
 from .greyed import greyed
 
 PROBE_ITEMS = [
@@ -155,6 +156,7 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
             raise
 
     def _step(self, context: Any, event: Any) -> set[str]:
+        from ..bridge.under_cursor import region_under
         from ..tool.pen import gives_up
 
         pen = self._pen
@@ -162,7 +164,8 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
             pen.close(context)
             return {"CANCELLED"}
         if not pen.is_down:
-            region = None if event.value != "PRESS" or event.type != "LEFTMOUSE" else pen.region_under(context, event)
+            pressed = event.type == "LEFTMOUSE" and event.value == "PRESS"
+            region = region_under(context, event) if pressed else None
             if region is None:
                 return {"PASS_THROUGH"}
             if not pen.press(context, event, region):
@@ -210,7 +213,7 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
 
         from ..bridge.drawn_stroke import new_drawn_stroke, touching_surface
 
-        scene, depsgraph, metres = context.scene, context.evaluated_depsgraph_get(), metres_of(context.scene)
+        scene, depsgraph, metres = context.scene, context.evaluated_depsgraph_get(), metres_per_unit(context.scene)
         if len(self.stroke) == 0:
             raise SceneError("nothing was drawn.", remedy="Take the stroke tool and drag over a surface.")
         time, pressure, touching = (

@@ -8,10 +8,11 @@ import bpy
 
 from hnf_core.errors import HnfError
 
+from ..bridge.metres import metres_per_unit
 from ..props.scene import active_stroke
 from ..props.stroke import FORCE_MAX_N
 from ..translations import tr
-from .active import metres_of, one_line
+from .active import one_line
 from .greyed import greyed
 from .strokes import UNDOABLE, needs_stroke
 
@@ -120,7 +121,7 @@ class HNF_OT_stroke_copy_force(bpy.types.Operator):  # type: ignore[misc]  # noq
         given, done = active_stroke(context), []
         for stroke in other_strokes(context):
             try:
-                copy_force(given, stroke, context.scene, metres_of(context.scene), fit_time=self.fit_time)
+                copy_force(given, stroke, context.scene, metres_per_unit(context.scene), fit_time=self.fit_time)
             except HnfError as error:
                 self.report({"WARNING"}, one_line(error))
                 continue
@@ -157,7 +158,7 @@ class HNF_OT_force_graph(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
             self.report({"WARNING"}, one_line(error))
             return {"CANCELLED"}
         try:
-            ensure_force_keys(stroke, context.scene, metres_of(context.scene))
+            ensure_force_keys(stroke, context.scene, metres_per_unit(context.scene))
         except HnfError as error:
             self.report({"ERROR"}, one_line(error))
             return {"CANCELLED"}

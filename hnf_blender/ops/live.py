@@ -14,10 +14,11 @@ from hnf_core.errors import HnfError, SceneError
 from ..actuator.choice import chosen_output, plays_whole
 from ..actuator.hand import force_at
 from ..actuator.state import ACTUATOR, Phase
+from ..bridge.metres import metres_per_unit
 from ..props.scene import actuator_of
 from ..state.redraw import redraw_tab
 from ..translations import tr
-from .active import AS_SET, metres_of, one_line, probe_of
+from .active import AS_SET, one_line, probe_of
 from .actuator import needs_actuator
 from .greyed import greyed
 
@@ -113,7 +114,8 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
 
     def _step(self, context: Any, event: Any) -> set[str]:
         from ..actuator.link import LINK
-        from ..tool.pen import gives_up, region_under
+        from ..bridge.under_cursor import region_under
+        from ..tool.pen import gives_up
 
         if not LINK.is_live:  # ended by its button, another file, or the device
             if LINK.problem:
@@ -141,7 +143,7 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
 
     def _follow(self, context: Any, event: Any) -> None:
         """The pen is down, or has moved."""
-        from ..tool.pen import surface_under
+        from ..bridge.under_cursor import surface_under
 
         areas = context.window.screen.areas
         area = next((area for area in areas if self._region in tuple(area.regions)), None)
@@ -170,7 +172,7 @@ def touch_at(touch: Any, context: Any, hit: Any, force_n: float, time_s: float, 
         touch.lift(time_s)
         return
     depsgraph = context.evaluated_depsgraph_get()
-    met = meeting(hit, depsgraph, metres_of(context.scene))
+    met = meeting(hit, depsgraph, metres_per_unit(context.scene))
     if met.token >= 0 and not truth.of(hit.obj, context.scene, context.view_layer):
         met = replace(met, token=-1)
     touch.meet(time_s, hit.obj.name, met, force_n, partial(felt_there, hit.obj, depsgraph, met.slot, met.token))

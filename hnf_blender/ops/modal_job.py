@@ -61,7 +61,7 @@ class ModalJob:
         return True
 
     def modal(self, context: Any, event: Any) -> set[str]:
-        from ..tool.pen import view_under
+        from ..bridge.under_cursor import view_under
 
         if not current.is_running():  # cancelled from elsewhere
             return self.end(context, STATE.last_job)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import bpy
 
-from ..prefs import settings
 from ..state.session import STATE
+from ..state.settings import settings
 from ..translations import tr
 from .greyed import greyed
 from .modal_job import TICK_S

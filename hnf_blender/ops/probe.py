@@ -66,7 +66,8 @@ class HNF_OT_probe(ModalJob, bpy.types.Operator):  # type: ignore[misc]  # noqa:
 
     def _aim(self, context: Any, event: Any) -> set[str]:
         """Wait for the click; the view can be turned meanwhile, and other editors used."""
-        from ..tool.pen import gives_up, region_under, why_untouched
+        from ..bridge.under_cursor import region_under, why_untouched
+        from ..tool.pen import gives_up
 
         if gives_up(context, event):
             return self.end(context, None)
@@ -108,7 +109,7 @@ def clicked_place(context: Any, event: Any) -> "ProbePlace | None":
     """What lies under the mouse in a 3-D view: the place on it in its own coordinates; None where there is nothing."""
     from hnf_core.cli.probe import ProbePlace
 
-    from ..tool.pen import region_under, surface_under
+    from ..bridge.under_cursor import region_under, surface_under
 
     region = region_under(context, event)
     if region is None:

@@ -44,7 +44,7 @@ class HNF_OT_set_real_length(bpy.types.Operator):  # type: ignore[misc]  # noqa:
     def invoke(self, context: Any, _event: Any) -> set[str]:
         first, second = selected_points(context) or (None, None)
         if first is not None and not self.properties.is_property_set("length_m"):
-            from ..bridge.importers import metres_per_unit
+            from ..bridge.metres import metres_per_unit
 
             self.length_m = max((second - first).length * metres_per_unit(context.scene), SHORTEST_M)
         return context.window_manager.invoke_props_dialog(self)  # type: ignore[no-any-return]

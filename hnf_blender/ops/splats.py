@@ -125,7 +125,7 @@ class HNF_OT_import_splats(_Waiting, bpy.types.Operator):  # type: ignore[misc] 
         return self._add(context, made)
 
     def modal(self, context: Any, event: Any) -> set[str]:
-        from ..tool.pen import view_under
+        from ..bridge.under_cursor import view_under
 
         reading = self._reading
         if reading is None:

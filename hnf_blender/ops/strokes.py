@@ -9,11 +9,12 @@ import bpy
 from hnf_core.action.primitives import PRIMITIVES, Primitive
 from hnf_core.errors import HnfError, SceneError
 
+from ..bridge.metres import metres_per_unit
 from ..compat import own_action
 from ..props.listed import NEWS
 from ..props.scene import active_stroke, has_strokes, place_in, stroke_named, strokes_of
 from ..translations import tr
-from .active import AS_SET, make_active, make_shown, metres_of, one_line, probe_of
+from .active import AS_SET, make_active, make_shown, one_line, probe_of
 from .draw import PROBE_ITEMS
 from .greyed import greyed
 
@@ -116,7 +117,7 @@ class HNF_OT_stroke_add(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
                 touched,
                 None if self.slot < 0 else int(self.slot),
                 primitive_of(self.words) if self.words.strip() else str(self.primitive),
-                metres_of(scene),
+                metres_per_unit(scene),
                 context.evaluated_depsgraph_get(),
                 seed=int(self.seed),
                 start_frame=float(scene.frame_current_final),

@@ -116,7 +116,7 @@ def _own_path(folder: Path, maker: Maker, ending: str) -> Path:
 def _options(obj: Any, context: Any, form: Format) -> ExportOptions:
     from hnf_core.export.options import RANGE_HZ, ExportOptions
 
-    from ..bridge.importers import metres_per_unit
+    from ..bridge.metres import metres_per_unit
     from ..bridge.touched_surface import touched_surface
 
     profile, surface = actuator_of(context.scene), None
@@ -163,13 +163,13 @@ def add_speaker_of(obj: Any, context: Any) -> Any:
     earlier one of the same stroke. Object Mode only."""
     import bpy
 
-    from ..bridge.importers import metres_per_unit
+    from ..bridge.metres import metres_per_unit
     from ..bridge.speakers import add_speaker
     from ..bridge.stroke_timeline import stroke_timeline
     from ..touch.deliver import file_stem
 
     signal, scene = true_signal(obj, context), context.scene
-    scale = metres_per_unit(scene, float(scene.hnf.metres_per_unit) or None)
+    scale = metres_per_unit(scene)
     timeline = stroke_timeline(obj, scene, scale)
     place = timeline.arc.point_at(timeline.position[:1])[0] / scale
     with tempfile.TemporaryDirectory() as folder:

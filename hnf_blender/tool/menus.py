@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from ..prefs import settings
+from ..state.settings import settings
 
 
 def add_menu(self: Any, _context: Any) -> None:

@@ -12,8 +12,8 @@ from hnf_core.action.pen_stroke import REST_S, evenly_in_time
 from hnf_core.units import m_to_mm
 
 from ..bridge.boxes import in_renders
-from ..bridge.drawn_stroke import cast_on_surface
-from ..ops.active import metres_of
+from ..bridge.metres import metres_per_unit
+from ..bridge.under_cursor import region_under, surface_under, view_under, why_untouched
 from ..translations import tr
 from ..ui.force_colour import force_colour
 
@@ -46,7 +46,7 @@ class Pen:
         self._travelled_px = 0.0
         self._length, self._is_pen = 0.0, False
         self._world = np.zeros(3)
-        self._metres = metres_of(context.scene)
+        self._metres = metres_per_unit(context.scene)
         import bpy
 
         self._handle: Any = bpy.types.SpaceView3D.draw_handler_add(self._draw, (), "WINDOW", "POST_VIEW")
@@ -72,10 +72,6 @@ class Pen:
     def is_click(self) -> bool:
         """The pen did not move further than a hand trembles."""
         return self._travelled_px < CLICK_PX
-
-    def region_under(self, context: Any, event: Any) -> Any:
-        """See region_under() below."""
-        return region_under(context, event)
 
     def press(self, context: Any, event: Any, region: Any) -> bool:
         """Begin in a region of a 3-D view; False, with why_not, where there is nothing to touch."""
@@ -206,31 +202,6 @@ class Pen:
         gpu.state.blend_set("NONE")
 
 
-def region_under(context: Any, event: Any) -> Any:
-    """The main region of the 3-D view under the pen, or None; not where a sidebar or header lies over it."""
-    found = None
-    for area in context.window.screen.areas if context.window is not None else ():
-        for region in area.regions if area.type == "VIEW_3D" else ():
-            inside = (
-                region.x <= event.mouse_x < region.x + region.width
-                and region.y <= event.mouse_y < region.y + region.height
-            )
-            if inside and region.type == "WINDOW":
-                found = region
-            elif inside and region.width > 1 and region.height > 1:
-                return None
-    return found
-
-
-def view_under(context: Any, event: Any) -> Any:
-    """The 3-D view under the mouse, with its bars, or None."""
-    for area in context.window.screen.areas if context.window is not None else ():
-        inside = area.x <= event.mouse_x < area.x + area.width and area.y <= event.mouse_y < area.y + area.height
-        if inside and area.type == "VIEW_3D":
-            return area
-    return None
-
-
 def gives_up(context: Any, event: Any, *, pressed: bool = False) -> bool:
     """Does the event end an operator that waits for the pen: Esc over a 3-D view, or a right click into one? Other
     editors keep theirs. pressed: the pen is down, then it counts wherever it is."""
@@ -239,38 +210,3 @@ def gives_up(context: Any, event: Any, *, pressed: bool = False) -> bool:
     if event.type == "RIGHTMOUSE":
         return pressed or region_under(context, event) is not None
     return event.type == "ESC" and (pressed or view_under(context, event) is not None)
-
-
-def surface_under(context: Any, area: Any, region: Any, at: tuple[float, float]) -> Any:
-    """What the pen meets at a place of a region of a 3-D view, in its pixels: a Hit, or None."""
-    from bpy_extras import view3d_utils
-
-    return cast_on_surface(
-        context.scene,
-        context.evaluated_depsgraph_get(),
-        area.spaces.active,
-        view3d_utils.region_2d_to_origin_3d(region, region.data, at),
-        view3d_utils.region_2d_to_vector_3d(region, region.data, at),
-    )
-
-
-def why_untouched(context: Any, region: Any, at: tuple[float, float]) -> str:
-    """Why what is seen at a place of a region of a 3-D view, in its pixels, is no surface, and what to do; "" where
-    nothing is seen there."""
-    from bpy_extras import view3d_utils
-
-    from ..bridge.untouchable import untouchable_seen
-
-    seen = untouchable_seen(
-        context.scene,
-        context.evaluated_depsgraph_get(),
-        view3d_utils.region_2d_to_origin_3d(region, region.data, at),
-        view3d_utils.region_2d_to_vector_3d(region, region.data, at),
-    )
-    if seen is None:
-        return ""
-    if seen.is_instance:
-        said = tr("'{name}' shows instances: select it, Object > Apply > Make Instances Real, then press again")
-    else:
-        said = tr("'{name}' is no mesh yet: select it, Object > Convert > Mesh, then press again")
-    return said.format(name=seen.name)

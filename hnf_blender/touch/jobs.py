@@ -19,8 +19,8 @@ from hnf_core.material.library import LIBRARY_PATH, find
 
 from ..bridge.boxes import is_visible, neighbours_hash_parts, visible
 from ..bridge.hashes import material_hash
-from ..bridge.importers import size_warning
 from ..bridge.meshes import Surface, flush_edits, mesh_hash, slot_materials, surface_frame, surface_mesh
+from ..bridge.metres import size_warning
 from ..bridge.own_material import own_word
 from ..bridge.owner import owner_text, reads_of
 from ..bridge.picture_names import picture_names

@@ -17,7 +17,8 @@ from hnf_core.errors import FileError
 from hnf_core.files import content_hash
 from hnf_core.folder_lock import folder_lock
 
-from ..bridge.importers import metres_per_unit, open_scene
+from ..bridge.importers import open_scene
+from ..bridge.metres import metres_per_unit
 from .deliver import deliver, save_baked
 from .feel import BakedStroke, feel
 from .jobs import Gathered, Job, Session, gather

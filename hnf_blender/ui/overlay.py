@@ -15,11 +15,11 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..bridge.temporary import SCENE_NAME
-from ..prefs import settings
 from ..props.scene import active_stroke, listed_strokes, strokes_of
 from ..state.names import absent
 from ..state.redraw import redraw_views
 from ..state.session import STATE
+from ..state.settings import settings
 from ..state.watch import changed_names, parts_of
 
 if TYPE_CHECKING:
@@ -162,12 +162,12 @@ def _refresh() -> float | None:
 
 
 def _compute(strokes: Sequence[Any], scene: Any, depsgraph: Any) -> None:
-    from ..ops.active import metres_of
+    from ..bridge.metres import metres_per_unit
     from . import overlay_gpu
     from .overlay_paths import overlay_path
 
     for obj in strokes:
-        OVERLAY.paths[obj.name] = overlay_path(obj, scene, depsgraph, metres_of(scene))
+        OVERLAY.paths[obj.name] = overlay_path(obj, scene, depsgraph, metres_per_unit(scene))
         overlay_gpu.forget(obj.name)
 
 

@@ -131,7 +131,7 @@ class HNF_PT_scale(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: 
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
 
     def draw(self, context: Any) -> None:
-        from ..bridge.importers import metres_per_unit
+        from ..bridge.metres import metres_per_unit
         from ..bridge.splat_cloud import TOUCHABLE
 
         layout, scene = self.layout, context.scene

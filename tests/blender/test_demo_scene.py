@@ -13,7 +13,8 @@ import pytest
 from mathutils import Vector
 
 from hnf_blender import compat
-from hnf_blender.bridge.importers import open_scene, size_warning
+from hnf_blender.bridge.importers import open_scene
+from hnf_blender.bridge.metres import size_warning
 
 REPOSITORY = Path(__file__).parents[2]
 TOOL = REPOSITORY / "tools" / "make_demo_scene.py"

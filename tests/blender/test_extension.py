@@ -220,7 +220,7 @@ def test_an_actuator_is_driven_from_the_installed_extension(profile: Profile) ->
         import numpy as np
         ours = lambda name: importlib.import_module('{PACKAGE}.' + name)
         ours('actuator.state').ACTUATOR.chosen = 'virtual'
-        settings = ours('prefs').settings()
+        settings = ours('state.settings').settings()
         if hasattr(settings, 'bl_rna'):
             settings.output = 'virtual'
         link, finder = ours('actuator.link').LINK, ours('actuator.finding').FINDER

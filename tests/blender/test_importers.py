@@ -15,7 +15,8 @@ import pytest
 from builders import add_plane, add_sphere, float_image
 
 from hnf_blender.bridge.images import missing_image
-from hnf_blender.bridge.importers import metres_per_unit, open_scene, size_warning
+from hnf_blender.bridge.importers import open_scene
+from hnf_blender.bridge.metres import metres_per_unit, size_warning
 from hnf_blender.bridge.quiet import quiet
 from hnf_blender.bridge.shader_colour import Shows, shows
 from hnf_core.errors import FileError, HnfError, SceneError

@@ -23,12 +23,13 @@ from hnf_blender.jobs.outside_python import look
 from hnf_blender.ops import outside_python as python_ops
 from hnf_blender.ops.diagnose import collect
 from hnf_blender.ops.learn import LAST, HNF_OT_learn, HNF_OT_learn_run
-from hnf_blender.prefs import HnfPreferences, Settings
+from hnf_blender.prefs import HnfPreferences
 from hnf_blender.preview.hearing import Kept, hear
 from hnf_blender.preview.pictures import Look
 from hnf_blender.preview.present import present
 from hnf_blender.preview.stroke_bake import load_bake
 from hnf_blender.state.session import STATE
+from hnf_blender.state.settings import Settings
 from hnf_blender.ui.outside_python import draw_outside_python
 from hnf_core.cli.learn import GATHERING, Lesson
 from hnf_core.datasets.catalogue import LICENCES

@@ -15,7 +15,7 @@ from panel_recorder import Recorder, context_of, drawn, rna_of
 
 import hnf_blender.ops
 import hnf_blender.ui
-from hnf_blender.prefs import HnfPreferences, Settings, settings
+from hnf_blender.prefs import HnfPreferences
 from hnf_blender.preview.facts import PREVIEW, PreviewFacts
 from hnf_blender.props.scene import active_stroke
 from hnf_blender.rooms import classes_of
@@ -28,6 +28,7 @@ from hnf_blender.state.session import (
     PlanView,
     StrokeStatus,
 )
+from hnf_blender.state.settings import Settings, settings
 from hnf_blender.ui import stroke_list, texts
 from hnf_core.action.primitives import PRIMITIVES
 
