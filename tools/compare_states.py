@@ -22,7 +22,7 @@ sys.path.insert(0, str(ROOT))
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action  # noqa: E402
 from hnf_core.datasets.catalogue import open_dataset  # noqa: E402
-from hnf_core.field.field import FieldConfig  # noqa: E402
+from hnf_core.field.config import FieldConfig  # noqa: E402
 from hnf_core.training.material import Schedule, train_material  # noqa: E402
 from hnf_core.training.own_material import fine_carriers  # noqa: E402
 

@@ -25,7 +25,7 @@ import torch
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from hnf_core.field.field import FieldConfig  # noqa: E402
+from hnf_core.field.config import FieldConfig  # noqa: E402
 from hnf_core.field.weights import DEFAULT_WEIGHTS, load_field  # noqa: E402
 from hnf_core.simulation.classes import category_of, classes  # noqa: E402
 from hnf_core.training.conditions import middle_conditions, speed_grid  # noqa: E402

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hnf_core.field.field import FieldConfig
+from hnf_core.field.config import FieldConfig
 from hnf_core.training.recipe import SHARED
 from hnf_core.training.references import PATCHES, SECONDS, STARTS
 from hnf_core.training.shared_bars import mean_with_interval, own_config

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from ..kernel.contact import between_rows
 from ..kernel.library import kernel
 from .carriers import MODEL_RATE_HZ
-from .field import Emission, FieldConfig
+from .config import FieldConfig
+from .field import Emission
 from .rendering import render_weights
 
 Float = NDArray[np.float64]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from ctypes import CDLL
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from ..kernel import emission as compiled
 from ..kernel.contact import TOUCH
 from ..kernel.emission import Emitter
 from ..material.mechanics import Mechanics
+from .config import FieldConfig
 from .features import (
     DIRECTION_AT,
     MECHANICS_AT,
@@ -30,9 +30,6 @@ from .features import (
 from .linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition, hand_of, time_edges, touch_of
 from .linear_texture import kernel_tables
 from .lines import QUIET_LINE_M_S2, SHIFTS, START_LOG
-
-if TYPE_CHECKING:
-    from .field import FieldConfig
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]

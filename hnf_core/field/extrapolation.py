@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from ..action.action import Action
 from ..material.mechanics import Mechanics
 from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, LEVELS, TOKEN_NAMES, band_slice
-from .field import LOG_AMPLITUDE_CEILING, Field, FieldConfig
+from .config import FieldConfig
+from .field import LOG_AMPLITUDE_CEILING, Field
 from .ranges import SECTOR_RAD, Ranges, angle_to_sectors, nearest_in_hull
 from .stroke import StrokeInput
 

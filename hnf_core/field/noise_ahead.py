@@ -13,7 +13,7 @@ from ..action.action import Action
 from ..kernel.halves import beside, cores
 from ..kernel.library import kernel
 from .carriers import Carriers
-from .field import FieldConfig
+from .config import FieldConfig
 from .hops import ARC_HOP, CELL, HOP, KEPT_ARC_HOPS, KEPT_TIME_HOPS, arc_hop, time_hop
 from .timeline import SAMPLES_PER_STATE, fastest
 

@@ -20,7 +20,8 @@ from ..material.token import ENCODER_ID, LARGEST_VALUE, TOKEN_DIM
 from ..tensor_file import packed
 from ..weights_file import Kind, WeightsFile, parse_weights, read_weights
 from .carriers import MODEL_RATE_HZ, TIME_BLOCK, Carriers
-from .field import Field, FieldConfig
+from .config import FieldConfig
+from .field import Field
 from .noise import first_bins
 from .ranges import MECHANICS_NAMES, SECTORS, Given, Ranges
 

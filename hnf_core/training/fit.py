@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ..field.carriers import Carriers
+from ..field.config import FieldConfig
 from ..field.features import DIRECTION_AT, build_inputs
-from ..field.field import FieldConfig, initial_parameters
+from ..field.field import initial_parameters
 from ..field.linear_contact import Condition
 from ..material.mechanics import Mechanics
 from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M, TOKEN_DIM

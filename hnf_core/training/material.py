@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ..datasets.recording import Recording
-from ..field.field import Field, FieldConfig, initial_parameters
+from ..field.config import FieldConfig
+from ..field.field import Field, initial_parameters
 from ..field.ranges import ranges_of
 from ..files import content_hash
 from ..material.mechanics import UNKNOWN, Mechanics

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from ..field.field import LOG_AMPLITUDE_CEILING, FieldConfig
+from ..field.config import FieldConfig
+from ..field.field import LOG_AMPLITUDE_CEILING
 from ..field.lines import GAINS, LINES, SHIFTS, START_LOG
 
 

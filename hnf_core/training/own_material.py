@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from ..action.action import Action
 from ..datasets.recording import Recording
 from ..field.carriers import Carriers
-from ..field.field import Field, FieldConfig
+from ..field.config import FieldConfig
+from ..field.field import Field
 from ..material.library import find
 from ..material.mechanics import UNKNOWN, Mechanics
 from ..material.token import TOKEN_DIM

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from .. import simulation as simulation_room
 from ..action.smooth import steady_action
 from ..datasets.tactile_pairs import UNSEEN_CLASSES
-from ..field.field import Field, FieldConfig
+from ..field.config import FieldConfig
+from ..field.field import Field
 from ..field.ranges import Ranges, ranges_of
 from ..files import write_atomically
 from ..material import contact

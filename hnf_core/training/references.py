@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from ..errors import FileError
-from ..field.field import FieldConfig
+from ..field.config import FieldConfig
 from ..files import write_bytes
 from ..tensor_file import packed, unpacked
 from .conditions import Condition, Steady

@@ -9,8 +9,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ..field.config import FieldConfig
 from ..field.features import build_inputs
-from ..field.field import FieldConfig
 from ..field.linear_contact import Condition
 from ..field.rendering import STEP_S
 from ..material.mechanics import Mechanics

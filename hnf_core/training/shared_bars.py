@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from ..field.config import FieldConfig
 from ..field.features import normalised_tokens
-from ..field.field import FieldConfig
 from .conditions import Condition
 from .fit import Schedule, fit, training_set
 from .gathering import Gathered

@@ -12,7 +12,8 @@ from hnf_core.baselines.literal import LiteralHnf, cut_windows, predicted, segme
 from hnf_core.baselines.method import Specimen  # noqa: E402
 from hnf_core.datasets.recording import Recording  # noqa: E402
 from hnf_core.errors import UsageError  # noqa: E402
-from hnf_core.field.field import FieldConfig, initial_parameters  # noqa: E402
+from hnf_core.field.config import FieldConfig  # noqa: E402
+from hnf_core.field.field import initial_parameters  # noqa: E402
 from hnf_core.material.mechanics import UNKNOWN  # noqa: E402
 from hnf_core.material.token import TOKEN_DIM  # noqa: E402
 from hnf_core.training.losses import l_mag  # noqa: E402

@@ -10,7 +10,8 @@ import pytest
 from hnf_core.bench.synth import forget_carriers, ten_seconds
 from hnf_core.blas import one_blas_thread, openblas_threads
 from hnf_core.field import network
-from hnf_core.field.field import FieldConfig, initial_parameters
+from hnf_core.field.config import FieldConfig
+from hnf_core.field.field import initial_parameters
 from hnf_core.field.synthesis import synthesise
 from hnf_core.field.weights import load_field
 

@@ -12,8 +12,9 @@ from hnf_core.action.primitive_path import primitive_action
 from hnf_core.action.primitives import PRIMITIVE_NAMES
 from hnf_core.action.smooth import circular_action, steady_action, wandering_action
 from hnf_core.errors import StrokeError
+from hnf_core.field.config import FieldConfig
 from hnf_core.field.extrapolation import examine
-from hnf_core.field.field import Field, FieldConfig, initial_parameters
+from hnf_core.field.field import Field, initial_parameters
 from hnf_core.field.ranges import Given, Ranges, ranges_of
 from hnf_core.field.stroke import uniform_stroke
 from hnf_core.field.synthesis import synthesise

@@ -8,7 +8,8 @@ import pytest
 
 from hnf_core.action.smooth import steady_action
 from hnf_core.errors import WeightsError
-from hnf_core.field.field import Field, FieldConfig, initial_parameters
+from hnf_core.field.config import FieldConfig
+from hnf_core.field.field import Field, initial_parameters
 from hnf_core.field.ranges import ranges_of
 from hnf_core.field.weights import load_field, save_field
 from hnf_core.material.mechanics import Mechanics

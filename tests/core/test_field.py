@@ -11,8 +11,9 @@ from steady_spectra import expected_rms, expected_spectrum
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.errors import FileError, WeightsError
 from hnf_core.field.carriers import Carriers
+from hnf_core.field.config import FieldConfig
 from hnf_core.field.features import build_inputs
-from hnf_core.field.field import Emission, Field, FieldConfig, accumulate, evaluate, initial_parameters
+from hnf_core.field.field import Emission, Field, accumulate, evaluate, initial_parameters
 from hnf_core.field.linear_contact import Condition
 from hnf_core.field.stroke import uniform_stroke
 from hnf_core.field.synthesis import synthesise

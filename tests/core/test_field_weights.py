@@ -13,7 +13,8 @@ from hnf_core.action.primitive_path import primitive_action
 from hnf_core.action.primitives import DEFAULT_PRIMITIVE
 from hnf_core.errors import WeightsError
 from hnf_core.field.carriers import Carriers
-from hnf_core.field.field import Field, FieldConfig, initial_parameters
+from hnf_core.field.config import FieldConfig
+from hnf_core.field.field import Field, initial_parameters
 from hnf_core.field.stroke import uniform_stroke
 from hnf_core.field.synthesis import synthesise
 from hnf_core.field.weights import field_bytes, own_material, parse_field

@@ -19,7 +19,7 @@ from hnf_core.field import texture
 from hnf_core.field.adaptive import Sampled, accumulated
 from hnf_core.field.band_waves import complex_waves, real_waves, wave_plan
 from hnf_core.field.carriers import Carriers
-from hnf_core.field.field import FieldConfig
+from hnf_core.field.config import FieldConfig
 from hnf_core.field.hops import arc_hop, time_hop
 from hnf_core.field.knots import Knots
 from hnf_core.field.linear_contact import linear_contact

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from hnf_core.bench.synth_table import Grid, from_table, read_table, tabulate
 from hnf_core.field.carriers import Carriers
+from hnf_core.field.config import FieldConfig
 from hnf_core.field.emitter import emitter_of, fits
-from hnf_core.field.field import Field, FieldConfig, evaluate, initial_parameters
+from hnf_core.field.field import Field, evaluate, initial_parameters
 from hnf_core.field.linear_contact import Condition
 from hnf_core.field.live_emission import LiveEmission
 from hnf_core.field.network import heads

@@ -16,7 +16,8 @@ from hnf_core.action.primitives import DEFAULT_PRIMITIVE
 from hnf_core.cli.train_needs import LEAST_PYTHON, PACKAGES
 from hnf_core.errors import FileError, StrokeError, WeightsError
 from hnf_core.field.carriers import Carriers
-from hnf_core.field.field import Field, FieldConfig, initial_parameters
+from hnf_core.field.config import FieldConfig
+from hnf_core.field.field import Field, initial_parameters
 from hnf_core.field.learned import field_of, learned_material
 from hnf_core.field.live_material import synthesis_for_material
 from hnf_core.field.parts import parts_of, synthesise_parts

@@ -10,8 +10,9 @@ from steady_spectra import steady_amplitudes
 
 from hnf_core.errors import WeightsError
 from hnf_core.field.carriers import ARC_PER_OCTAVE, Carriers
+from hnf_core.field.config import FieldConfig
 from hnf_core.field.features import build_inputs
-from hnf_core.field.field import Field, FieldConfig, evaluate, initial_parameters, steady_amplitude
+from hnf_core.field.field import Field, evaluate, initial_parameters, steady_amplitude
 from hnf_core.field.linear_contact import Condition, linear_contact
 from hnf_core.field.lines import GAINS, LINES, Lines, line_power, prior_columns
 from hnf_core.field.weights import load_field, save_field

@@ -21,7 +21,8 @@ from live_strokes import (
 )
 
 from hnf_core.errors import StrokeError, UsageError
-from hnf_core.field.field import Field, FieldConfig, initial_parameters
+from hnf_core.field.config import FieldConfig
+from hnf_core.field.field import Field, initial_parameters
 from hnf_core.field.live import DELAY_STATES, LiveSynthesis
 from hnf_core.field.live_noise import KEPT_BLOCKS
 from hnf_core.field.live_octave import KEPT_HOPS

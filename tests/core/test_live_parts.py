@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from live_strokes import BLOCK, SEED, error, hand, on
 
 from hnf_core.field.carriers import Carriers
+from hnf_core.field.config import FieldConfig
 from hnf_core.field.contact_filter import TAIL
-from hnf_core.field.field import Field, FieldConfig, evaluate, initial_parameters
+from hnf_core.field.field import Field, evaluate, initial_parameters
 from hnf_core.field.linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition, linear_contact, time_band_power
 from hnf_core.field.live_arc import LiveArc
 from hnf_core.field.live_contact import LivePressing, causal_response

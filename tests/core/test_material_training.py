@@ -17,7 +17,8 @@ from hnf_core.action.smooth import circular_action, steady_action, wandering_act
 from hnf_core.datasets.recording import Recording  # noqa: E402
 from hnf_core.errors import UsageError  # noqa: E402
 from hnf_core.field.carriers import Carriers  # noqa: E402
-from hnf_core.field.field import Field, FieldConfig, initial_parameters  # noqa: E402
+from hnf_core.field.config import FieldConfig  # noqa: E402
+from hnf_core.field.field import Field, initial_parameters  # noqa: E402
 from hnf_core.field.stroke import uniform_stroke  # noqa: E402
 from hnf_core.field.synthesis import synthesise  # noqa: E402
 from hnf_core.material.mechanics import UNKNOWN  # noqa: E402

@@ -15,7 +15,7 @@ from hnf_core.action.primitive_path import primitive_action
 from hnf_core.action.primitives import PRIMITIVES
 from hnf_core.bench.synth import forget_carriers, ten_seconds
 from hnf_core.field import noise_ahead as ahead
-from hnf_core.field.field import FieldConfig
+from hnf_core.field.config import FieldConfig
 from hnf_core.field.hops import arc_hop, time_hop
 from hnf_core.field.noise_ahead import MOST_ARC_HOPS, MOST_TIME_HOPS, noise_ahead
 from hnf_core.field.stroke import StrokeInput, uniform_stroke

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.errors import StrokeError
 from hnf_core.field.carriers import Carriers
-from hnf_core.field.field import Field, FieldConfig, accumulate, evaluate, initial_parameters
+from hnf_core.field.config import FieldConfig
+from hnf_core.field.field import Field, accumulate, evaluate, initial_parameters
 from hnf_core.field.profile import split_profile
 from hnf_core.field.stroke import LIMITS, HeightProfile, StrokeInput, uniform_stroke
 from hnf_core.field.synthesis import amplitudes, contact_term, prepare, synthesise

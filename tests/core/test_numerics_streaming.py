@@ -9,7 +9,8 @@ import pytest
 
 from hnf_core.action.smooth import steady_action, wandering_action
 from hnf_core.field import resampling
-from hnf_core.field.field import Field, FieldConfig, initial_parameters
+from hnf_core.field.config import FieldConfig
+from hnf_core.field.field import Field, initial_parameters
 from hnf_core.field.hops import KEPT_TIME_HOPS
 from hnf_core.field.reference import texture_reference
 from hnf_core.field.resampling import resample

@@ -11,7 +11,7 @@ from alexnet_parts import random_encoder
 
 pytest.importorskip("torch", reason="training needs the extra [train]")
 
-from hnf_core.field.field import FieldConfig
+from hnf_core.field.config import FieldConfig
 from hnf_core.field.weights import encoders_of, refuse_other_encoders, save_field
 from hnf_core.material.alexnet.weights import save_encoder
 from hnf_core.material.token import ALEXNET_ID, ENCODER_ID, TOKEN_DIM

@@ -10,7 +10,8 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from hnf_core.errors import FileError  # noqa: E402
-from hnf_core.field.field import FieldConfig, initial_parameters  # noqa: E402
+from hnf_core.field.config import FieldConfig  # noqa: E402
+from hnf_core.field.field import initial_parameters  # noqa: E402
 from hnf_core.material.library import LIBRARY_PATH  # noqa: E402
 from hnf_core.simulation.classes import classes  # noqa: E402
 from hnf_core.training.conditions import Condition, middle_conditions  # noqa: E402

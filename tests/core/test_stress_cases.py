@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from stress_table import stress_files, stress_table
 
-from hnf_core.field.field import Field, FieldConfig, evaluate, initial_parameters
+from hnf_core.field.config import FieldConfig
+from hnf_core.field.field import Field, evaluate, initial_parameters
 from hnf_core.field.timeline import condition_of, states_of
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "numerics.md"

@@ -9,7 +9,8 @@ import pytest
 
 from hnf_core.action.contacts import tangents
 from hnf_core.errors import SceneError, StrokeError, UsageError
-from hnf_core.field.field import Field, FieldConfig, evaluate, initial_parameters
+from hnf_core.field.config import FieldConfig
+from hnf_core.field.field import Field, evaluate, initial_parameters
 from hnf_core.field.linear_contact import Condition
 from hnf_core.field.stroke import LIMITS
 from hnf_core.field.stroke_profile import stroke_profile

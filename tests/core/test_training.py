@@ -9,7 +9,8 @@ torch = pytest.importorskip("torch")
 
 from hnf_core.field import linear_contact as physics  # noqa: E402
 from hnf_core.field.carriers import MODEL_RATE_HZ, Carriers  # noqa: E402
-from hnf_core.field.field import FieldConfig, evaluate, initial_parameters, steady_amplitude  # noqa: E402
+from hnf_core.field.config import FieldConfig  # noqa: E402
+from hnf_core.field.field import evaluate, initial_parameters, steady_amplitude  # noqa: E402
 from hnf_core.field.linear_texture import cut, texture_of  # noqa: E402
 from hnf_core.field.modulation import arc_term  # noqa: E402
 from hnf_core.field.weights import load_field  # noqa: E402
