@@ -1,0 +1,78 @@
+"""No file of the library or the add-on needs, by whatever way, a file that needs it: imports inside functions and for
+types alone count as well, since a reader has to follow those too."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator, Mapping
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("hnf_core", "hnf_blender")
+
+
+def modules(root: Path) -> dict[str, str]:
+    """Dotted name → source, of every file below the packages. A folder's own file goes by the folder's name."""
+    return {
+        ".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__"): path.read_text("utf-8")
+        for package in PACKAGES
+        for path in (root / package).rglob("*.py")
+    }
+
+
+def needed(name: str, source: str, known: Mapping[str, str], *, is_folder: bool) -> Iterator[str]:
+    """Modules among the known ones that a module imports anywhere in its text."""
+    here = name.split(".") if is_folder else name.split(".")[:-1]
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in known)
+        if isinstance(node, ast.ImportFrom):
+            above = here[: len(here) - node.level + 1] if node.level else []
+            base = ".".join([*above, *((node.module or "").split(".") if node.module else [])])
+            for alias in node.names:
+                below = f"{base}.{alias.name}"
+                if below in known:
+                    yield below
+                elif base in known:
+                    yield base
+
+
+def circle(sources: Mapping[str, str]) -> list[str]:
+    """Modules that need one another in turn, the first one again at the end; [] where there are none."""
+    folders = {name for name in sources if any(other.startswith(f"{name}.") for other in sources)}
+    graph = {
+        # A face imports its room to switch it on, and everybody in the room reaches the face by its name alone.
+        name: {each for each in needed(name, source, sources, is_folder=name in folders) if each not in folders}
+        for name, source in sources.items()
+        if name not in folders
+    }
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return list(error.args[1])
+    return []
+
+
+def test_nobody_needs_what_needs_it() -> None:
+    sources = modules(ROOT)
+    assert len(sources) > 500
+    assert circle(sources) == []
+
+
+@pytest.mark.parametrize(
+    "way_back",
+    [
+        "from .a import A",
+        "def later():\n    from ..room.a import A",
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from hnf_core.room.a import A",
+        "import hnf_core.room.a",
+        "from . import a",
+    ],
+)
+def test_a_circle_is_seen_however_it_is_written(way_back: str) -> None:
+    sources = {"hnf_core": "", "hnf_core.room": "", "hnf_core.room.a": "from .b import B", "hnf_core.room.b": way_back}
+    assert set(circle(sources)) == {"hnf_core.room.a", "hnf_core.room.b"}
+    assert circle({**sources, "hnf_core.room.b": ""}) == []
