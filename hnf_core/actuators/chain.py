@@ -39,7 +39,8 @@ class Chain:
                 f"the signal has {source.channels} channels and '{device.device}' plays {device.channels}.",
                 remedy="Give one channel, or as many as the device has.",
             )
-        self.limiter = Limiter(limits, device.rate_hz, device.channels, heat=heat)
+        # What the device would cut off hard by itself, ours holds back softly, and counts.
+        self.limiter = Limiter(limits.within(device.peak), device.rate_hz, device.channels, heat=heat)
         self.ended = False
         self._nonfinite = 0
         self._source, self._stages, self._device = source, stages, device

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..errors import UsageError
 
@@ -38,3 +38,7 @@ class Limits:
     def peak_counts(self) -> int:
         """Largest magnitude of a count; rounded down, never up."""
         return int(self.peak * COUNTS)
+
+    def within(self, peak_counts: int) -> Limits:
+        """These, on a device that itself plays no count beyond peak_counts. Raises UsageError where that is none."""
+        return replace(self, peak=min(self.peak, peak_counts / COUNTS))

@@ -24,6 +24,7 @@ import numpy as np
 from ..errors import HnfError, UsageError
 from ..field.live_material import synthesis_for_material
 from .acceleration import factor, read_acceleration
+from .at_most import at_most
 from .compensation import stages_of
 from .player_messages import (
     VERSION,
@@ -94,7 +95,7 @@ class Playing:
             report.level_m_s2,
             report.peak,
             report.underruns,
-            report.limited_samples,
+            report.limited_samples + report.device_limited_samples,
             report.nonfinite_samples,
             report.played_s,
             latency_ms,
@@ -203,7 +204,7 @@ class Player:
         self.stop()
         device = stream.start()
         made_up = ", its response made up for" if stages else ""
-        said = f"{note}; at most {limits.peak * limits.full_scale_m_s2:.4g} m/s² ({profile.title}){made_up}"
+        said = f"{note}; {at_most(profile, device)}{made_up}"
         self._went_on(Playing(play, stream, source, device, where, gain, ahead * block_s, said))
 
     def _went_on(self, playing: Playing) -> None:

@@ -139,9 +139,9 @@ class Status:
     """20 times a second while something plays, and once when that changes.
 
     state: playing, paused, ended (nothing plays any more). position_s: into the recording, of what sounds now.
-    level_m_s2: RMS now. peak: largest that left, 0–1 of full scale. limited, nonfinite: samples that the limiter
-    changed. latency_p99_ms: from asking for a block, or from the hand's move, until the device had it. problem: why it
-    ended, "" = it was over or was stopped.
+    level_m_s2: RMS now. peak: largest that left, 0–1 of full scale. limited: samples that the limiter, or the device's
+    own limits, changed. nonfinite: that were no number. latency_p99_ms: from asking for a block, or from the hand's
+    move, until the device had it. problem: why it ended, "" = it was over or was stopped.
     """
 
     play: int

@@ -40,8 +40,8 @@ class StreamReport:
     underruns: times that the device missed frames. errors: damaged or lost frames of the wire. compute_p99_ms: of a
     block, from its source to ready counts; compute_cpu_p99_ms: of that, what the thread computed. latency_p99_ms: from
     the moment a block was asked of the source until the sink had it. peak: largest level that left, as a share of full
-    scale. limited_samples, nonfinite_samples: changed by the limiter. played_s: by the device. level_m_s2: RMS of the
-    last 20 ms or so.
+    scale. limited_samples, nonfinite_samples: changed by the limiter. device_limited_samples: by the device's own
+    limits, behind ours. played_s: by the device. level_m_s2: RMS of the last 20 ms or so.
     temperature_c: of the coil, where it is told. resampler: what converts the rate. realtime: the system
     granted both threads its real-time priority; never to a file. problem: why it ended, or "".
     """
@@ -60,6 +60,7 @@ class StreamReport:
     peak: float = 0.0
     limited_samples: int = 0
     nonfinite_samples: int = 0
+    device_limited_samples: int = 0
     played_s: float = 0.0
     level_m_s2: float = 0.0
     temperature_c: float | None = None

@@ -8,6 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from .limits import COUNTS
+
 Counts = NDArray[np.int16]
 
 
@@ -16,7 +18,7 @@ class SinkFormat:
     """rate_hz: frames a second that the device plays. channels. queue_frames: most frames it owes at any time, that
     is, what still sounds when nothing more comes (at most 15 ms on a live device). device: what it calls itself.
     coil: something in it warms; a file's does not. live: it plays by a clock of its own; a file takes what
-    comes."""
+    comes. peak: largest count that the device itself lets through; what is beyond, it would cut off hard."""
 
     rate_hz: float
     channels: int
@@ -24,18 +26,21 @@ class SinkFormat:
     device: str
     coil: bool = True
     live: bool = True
+    peak: int = COUNTS
 
 
 @dataclass(frozen=True)
 class SinkStatus:
     """As far as it is known. played: frames. underruns: times that frames were missing while it played. errors:
-    damaged or lost frames of the wire. temperature_c: of the coil. problem: why nothing sounds any more, or ""."""
+    damaged or lost frames of the wire. temperature_c: of the coil. problem: why nothing sounds any more, or "".
+    limited: samples that the device's own limits changed."""
 
     played: int = 0
     underruns: int = 0
     errors: int = 0
     temperature_c: float | None = None
     problem: str = ""
+    limited: int = 0
 
 
 class Sink(Protocol):

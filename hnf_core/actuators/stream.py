@@ -163,6 +163,7 @@ class Stream:
                 peak=self._peak / COUNTS,
                 limited_samples=limiter.limited if limiter else 0,
                 nonfinite_samples=self._chain.nonfinite if self._chain else 0,
+                device_limited_samples=self._status.limited,
                 played_s=self._status.played / self._rate,
                 level_m_s2=float(np.sqrt(self._square)) * self._limits.full_scale_m_s2 / COUNTS,
                 temperature_c=self._status.temperature_c,

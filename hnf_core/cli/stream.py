@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..actuators.acceleration import Acceleration, factor, read_accelerations
+from ..actuators.at_most import at_most
 from ..actuators.compensation import stages_of
 from ..actuators.profile import GENERIC, ActuatorProfile
 from ..actuators.profile_file import profile_at
@@ -82,7 +83,8 @@ def run(arguments: argparse.Namespace) -> int:
             if not arguments.json:
                 print(_announcement(arguments, found, profile, device), flush=True)
             _warn(samples, profile, arguments.gain)
-            _watch(stream, LevelMeter(limits.peak * limits.full_scale_m_s2, whole_s))
+            within = limits.within(device.peak)
+            _watch(stream, LevelMeter(within.peak * within.full_scale_m_s2, whole_s))
         except KeyboardInterrupt:
             pass
         finally:
@@ -112,7 +114,6 @@ def _source(samples: Samples, rate_hz: float, loop: bool, seconds: float | None)
 def _announcement(
     arguments: argparse.Namespace, found: Acceleration, profile: ActuatorProfile, device: SinkFormat
 ) -> str:
-    limits = profile.limits
     owed_ms = 1e3 * device.queue_frames / device.rate_hz
     owes = "" if isinstance(parse_target(arguments.to), FileTarget) else f", owes at most {owed_ms:.0f} ms"
     made_up = ", its response made up for" if profile.response is not None and not arguments.raw else ""
@@ -121,7 +122,7 @@ def _announcement(
         f"{_names(arguments)}: {found.duration_s:.2f} s at {found.rate_hz:g} Hz{channels}, {found.unit}, "
         f"largest {found.peak_m_s2:.3g} m/s²\n"
         f"to {device.device}: {device.rate_hz:g} Hz{owes}; gain {arguments.gain:g} dB; "
-        f"at most {limits.peak * limits.full_scale_m_s2:.4g} m/s² ({profile.title}){made_up}"
+        f"{at_most(profile, device)}{made_up}"
     )
 
 
@@ -160,6 +161,12 @@ def _told(arguments: argparse.Namespace, profile: ActuatorProfile, report: Strea
             f"{report.played_s:.2f} s played: {report.blocks} blocks, 99 % of them computed within "
             f"{report.compute_p99_ms:.2f} ms, {report.underruns} underruns; peak {report.peak:.0%} of full scale, "
             f"{report.limited_samples} samples limited"
+        )
+    if report.device_limited_samples:
+        print(
+            f"hnf: the device itself cut {report.device_limited_samples} samples short. Play softer, or tell its true "
+            "peak in its firmware.",
+            file=sys.stderr,
         )
     if report.problem:
         raise DeviceError(report.problem)

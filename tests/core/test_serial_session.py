@@ -146,7 +146,7 @@ def test_status_is_told_in_our_units() -> None:
     assert session.told().temperature_c is None
     session.hear([Status(2, 3, 4, 5, 315, State.PLAYING)], 0.0)
     told = session.told()
-    assert (told.underruns, told.errors, told.temperature_c) == (2, 7, 31.5)
+    assert (told.underruns, told.errors, told.limited, told.temperature_c) == (2, 7, 5, 31.5)
     session.hear([Status(2, 3, 4, 5, NO_TEMPERATURE, State.PLAYING)], 0.0)
     assert session.told().temperature_c is None
 

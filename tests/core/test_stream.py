@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -127,6 +128,23 @@ def test_one_channel_goes_to_all_of_the_device_and_two_do_not_go_to_three() -> N
         Stream(Recorded(noise(0.05, channels=2), 8000.0), sink, LIMITS).start()
     assert not sink.is_open
     assert at_rest()
+
+
+def test_a_device_with_a_lower_peak_of_its_own_never_has_to_cut_anything_off() -> None:
+    """It would do so hard, and nobody would be told; the limiter holds back softly, and counts."""
+    samples = np.full((4000, 1), 25.0, np.float32) * np.sin(0.1 * np.arange(4000), dtype=np.float32)[:, None]
+    sink = ClockSink()
+    sink.format = replace(sink.format, peak=8000)
+    with Stream(Recorded(samples, 10000.0), sink, LIMITS) as stream:
+        stream.start()
+        assert stream.wait(60.0)
+    assert np.abs(sink.counts.astype(np.int64)).max() == 8000
+    assert stream.report.peak == 8000 / COUNTS
+    assert stream.report.limited_samples > 1000
+    strong = replace(sink.format, peak=COUNTS)
+    assert np.array_equal(
+        counts_of(Recorded(samples, 10000.0), strong, replace(LIMITS, peak=8000 / COUNTS)), sink.counts
+    ), "as if the profile had said so"
 
 
 def test_stages_stand_between_source_and_limiter_and_never_see_what_is_no_number() -> None:

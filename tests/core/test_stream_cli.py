@@ -23,6 +23,8 @@ from hnf_core.actuators.profile import GENERIC
 from hnf_core.actuators.report import StreamReport
 from hnf_core.actuators.sink import SinkFormat
 from hnf_core.actuators.sources.recorded import Recorded
+from hnf_core.actuators.virtual.device import Abilities
+from hnf_core.actuators.virtual.port import VirtualPort
 from hnf_core.cli.level_meter import LevelMeter, meter_line
 from hnf_core.cli.main import main
 from hnf_core.export.wav import write_wav
@@ -208,6 +210,22 @@ def test_the_virtual_actuator_plays(noise: Path, capsys: pytest.CaptureFixture[s
     assert report["device"] == "virtual actuator"
     assert report["frames"] > 0
     assert 0.0 < report["peak"] <= 1.0
+
+
+@needs_pty
+def test_a_device_s_own_peak_is_kept_and_told(noise: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("serial", reason="pyserial is not installed")
+    with VirtualPort(Abilities(peak=8000)) as port:
+        target = f"serial:{port.path}"
+        assert hnf(noise, "--to", target, "--seconds", 0.3, "--gain", 12) == 0
+        told = capsys.readouterr()
+        assert "at most 7.324 m/s² (the device's own limit, Generic voice coil)" in told.out
+        assert hnf(noise, "--to", target, "--seconds", 0.3, "--gain", 12, "--json") == 0
+        report = json.loads(capsys.readouterr().out)
+    assert report["peak"] == 8000 / 32767
+    assert report["limited_samples"] > 100
+    if report["underruns"] == 0:  # after one, the device's own fades may meet its slew
+        assert report["device_limited_samples"] == 0
 
 
 @pytest.fixture

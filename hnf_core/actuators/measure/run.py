@@ -104,10 +104,8 @@ def measure(sink: Sink, sensor: Accelerometer, excitation: Signal, limits: Limit
             f"the device ran out of samples {report.underruns} times.",
             remedy="Close what computes beside it, and measure again.",
         )
-    if report.limited_samples:
-        raise UsageError(
-            f"{report.limited_samples} samples were beyond the device's limits.", remedy="Measure with a lower --level."
-        )
+    if limited := report.limited_samples + report.device_limited_samples:
+        raise UsageError(f"{limited} samples were beyond the device's limits.", remedy="Measure with a lower --level.")
     asked = asked_of(excitation, replace(device, channels=1), limits)
     return asked, at_rate(heard, device.rate_hz)
 

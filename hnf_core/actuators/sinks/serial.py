@@ -114,7 +114,7 @@ class SerialSink:
             caps = self._greet()
             self._rate_hz = self._agreed_rate(caps)
             queue = self._start(caps)
-        return SinkFormat(float(self._rate_hz), self._channels, queue, caps.name)
+        return SinkFormat(float(self._rate_hz), self._channels, queue, caps.name, peak=caps.peak)
 
     def wait(self, timeout_s: float) -> int:
         """See Sink. After stop() or finish() it begins a new session."""

@@ -134,7 +134,8 @@ class Session:
         if device is None:
             return SinkStatus(played, 0, errors, None, problem)
         warm = None if device.temperature == NO_TEMPERATURE else device.temperature / 10.0
-        return SinkStatus(played, device.underruns, device.crc_errors + device.lost + errors, warm, problem)
+        damaged = device.crc_errors + device.lost + errors
+        return SinkStatus(played, device.underruns, damaged, warm, problem, device.limited)
 
     def _credited(self, credits: Sequence[Credit], now_s: float) -> None:
         mine = [found for found in credits if found.session == self.number]

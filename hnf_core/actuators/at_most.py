@@ -1,0 +1,14 @@
+"""How strong a stream may become, in words."""
+
+from __future__ import annotations
+
+from .profile import ActuatorProfile
+from .sink import SinkFormat
+
+
+def at_most(profile: ActuatorProfile, device: SinkFormat) -> str:
+    """The largest acceleration that leaves for device with profile, in m/s², and whose limit that is."""
+    limits = profile.limits
+    within = limits.within(device.peak)
+    own = "the device's own limit, " if within.peak < limits.peak else ""
+    return f"at most {within.peak * within.full_scale_m_s2:.4g} m/s² ({own}{profile.title})"
