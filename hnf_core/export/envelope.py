@@ -32,7 +32,8 @@ EDGE_OCTAVES = 0.5
 """Width of the flanks outside the range."""
 CLICK, CREST = 4.0, 1.8
 """A sample this far above the amplitude before and after (more than 5 σ of a noise), and this far above that of its own
-place, is a click, which an envelope cannot hold."""
+place, is a click, which an envelope cannot hold. That amplitude is of all that is not below the range: beside what is
+within it alone, every steady vibration above it would be a row of clicks."""
 ASIDE = (3, 12)
 """Steps from a place to where before and after begin and end."""
 CLICK_SHARE = 0.2
@@ -91,17 +92,24 @@ def envelope_of(
     z, slope, quick = analytic(x, rate, range_hz)
     half = max(1, round(HALF_WINDOW_S * rate))
     shape = np.hanning(2 * half + 3)[1:-1]
-    power = around(np.square(np.abs(z)), at, half, lambda rows, inside: _mean(rows, inside * shape))
-    turning = around(np.imag(np.conj(z) * slope), at, half, lambda rows, inside: _mean(rows, inside * shape))
+
+    def smooth(values: Float) -> Float:
+        return around(values, at, half, lambda rows, inside: _mean(rows, inside * shape))
+
+    power, turning = smooth(np.square(np.abs(z))), smooth(np.imag(np.conj(z) * slope))
     near = around(np.abs(x), at, max(1, round(REACH_S * rate)), _largest)
     amplitude = np.minimum(np.sqrt(np.maximum(power, 0.0)), near)
-    heard = amplitude > max(QUIET * amplitude.max(initial=0.0), ROUNDING * float(np.abs(x).max()))
+    floor = ROUNDING * float(np.abs(x).max())
+    heard = amplitude > max(QUIET * amplitude.max(initial=0.0), floor)
     frequency = np.full(len(at), middle)
     if heard.any():
         centroid = turning[heard] / (2.0 * np.pi * power[heard])
         frequency = np.interp(at, at[heard], np.clip(centroid, *range_hz))
-    # What swings below the range is high too, and no click.
-    found = _clicks(np.minimum(np.abs(quick), np.abs(x)), rate, at, amplitude) if clicks else {}
+    found = {}
+    if clicks:
+        # What swings below the range is high too, and no click.
+        height, body = np.minimum(np.abs(quick), np.abs(x)), np.sqrt(2.0 * smooth(np.square(quick)))
+        found = _clicks(height, rate, at, body, floor)
     beside = np.ones(len(at), bool)
     for index in found:
         beside[max(0, index - ASIDE[0]) : index + ASIDE[0] + 1] = False
@@ -150,12 +158,14 @@ def around(values: Float, at: Index, reach: int, fold: Callable[[Float, Float], 
     return found
 
 
-def _clicks(height: Float, rate: float, at: Index, amplitude: Float) -> dict[int, float]:
-    """Where on the grid → how high, in order of time. Of those nearer than CLICKS_APART_S, the highest."""
+def _clicks(height: Float, rate: float, at: Index, body: Float, floor: float) -> dict[int, float]:
+    """Where on the grid → how high, in order of time. Of those nearer than CLICKS_APART_S, the highest. body: on the
+    grid, the amplitude of what height is of. floor: a height below it is rounding."""
     half = max(1, round(0.5 * STEP_S * rate))
     peak = around(height, at, half, _largest)
-    calm = around(amplitude, np.arange(len(at)), ASIDE[1], _beside)
-    loud = np.flatnonzero((peak >= CREST * amplitude) & (peak >= CLICK * calm) & (peak >= CLICK_SHARE * height.max()))
+    calm = around(body, np.arange(len(at)), ASIDE[1], _beside)
+    least = np.maximum(np.maximum(CREST * body, CLICK * calm), max(CLICK_SHARE * float(height.max()), floor))
+    loud = np.flatnonzero(peak >= least)
     taken: list[int] = []
     for index in loud[np.argsort(-peak[loud], kind="stable")].tolist():
         place = bisect(taken, index)

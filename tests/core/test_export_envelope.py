@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from export_signals import signal_of, texture, tone
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -88,6 +88,14 @@ def test_a_constant_has_no_frequency_but_the_middle() -> None:
         assert envelope.amplitude.max() <= 1e-12 * level
 
 
+@given(level=st.floats(1e-3, 100.0), count=st.integers(1, 5000), range_hz=st.sampled_from([RANGE, (180.0, 280.0)]))
+@example(level=5.0, count=1, range_hz=RANGE)
+@example(level=5.0, count=3000, range_hz=(180.0, 280.0))
+@settings(deadline=None)
+def test_what_transforms_round_is_no_click(level: float, count: int, range_hz: tuple[float, float]) -> None:
+    assert envelope_of(signal_of(np.full(count, level)), range_hz).emphases == ()
+
+
 @settings(deadline=None)
 @given(samples=hnp.arrays(np.float32, st.integers(0, 2000), elements=st.floats(-50.0, 50.0, width=32)))
 def test_every_envelope_is_sound(samples: np.ndarray) -> None:
@@ -135,6 +143,61 @@ def test_what_lies_below_the_range_is_no_click(swing: np.ndarray) -> None:
     inside = (calm.time > 0.1) & (calm.time < 1.9)
     np.testing.assert_allclose(swung.amplitude[inside], calm.amplitude[inside], atol=0.05)
     assert not envelope_of(signal_of(5.0 * np.ones(3000)), RANGE).amplitude.max() > 1e-9
+
+
+def noise(seed: int, low: float, high: float, rms: float, count: int = 20_000, rate: float = 10_000.0) -> np.ndarray:
+    spectrum = np.fft.rfft(np.random.default_rng(seed).standard_normal(count))
+    hertz = np.fft.rfftfreq(count, 1.0 / rate)
+    band = np.fft.irfft(spectrum * ((hertz >= low) & (hertz <= high)), count)
+    return np.asarray(rms * band / band.std())
+
+
+RANGES = st.sampled_from([RANGE, (60.0, 300.0), (180.0, 280.0)])
+PITCH = st.floats(0.5, np.log2(4990.0)).map(lambda octaves: 2.0**octaves)
+STEADY = settings(deadline=None, max_examples=60)
+
+
+@STEADY
+@given(hertz=PITCH, phase=st.floats(0.0, 6.3), level=st.floats(1e-3, 100.0), range_hz=RANGES)
+@example(hertz=600.0, phase=0.0, level=5.0, range_hz=(60.0, 300.0))
+@example(hertz=3000.0, phase=0.0, level=10.0, range_hz=RANGE)
+def test_a_steady_tone_is_no_click_whatever_the_range(
+    hertz: float, phase: float, level: float, range_hz: tuple[float, float]
+) -> None:
+    swing = level * np.sin(2.0 * np.pi * hertz * np.arange(20_000) / 10_000.0 + phase)
+    assert envelope_of(signal_of(swing), range_hz).emphases == ()
+
+
+@STEADY
+@given(seed=st.integers(0, 2**32), low=st.floats(5.0, 2000.0), octaves=st.floats(0.3, 5.0), range_hz=RANGES)
+@example(seed=3, low=500.0, octaves=0.85, range_hz=(60.0, 300.0))
+def test_a_steady_noise_is_no_click_whatever_the_range(
+    seed: int, low: float, octaves: float, range_hz: tuple[float, float]
+) -> None:
+    rough = noise(seed, low, low * 2.0**octaves, 2.0)
+    assert envelope_of(signal_of(rough), range_hz).emphases == ()
+
+
+def test_what_lies_above_the_range_adds_no_strength() -> None:
+    felt, unfelt = noise(1, 60.0, 300.0, 0.3), noise(2, 500.0, 900.0, 2.0)
+    envelope = envelope_of(signal_of(felt + unfelt), (60.0, 300.0))
+    samples = render(envelope, 10_000.0, 1)
+    assert np.sqrt(np.mean(np.square(samples))) == pytest.approx(0.3, rel=0.05)
+
+
+@STEADY
+@given(
+    seed=st.integers(0, 2**32), low=st.floats(60.0, 1000.0), place=st.floats(0.1, 1.9),
+    width=st.integers(1, 5), height=st.floats(3.0, 40.0), range_hz=RANGES,
+)  # fmt: skip
+def test_a_click_is_heard_over_a_calm_texture_of_any_band(
+    seed: int, low: float, place: float, width: int, height: float, range_hz: tuple[float, float]
+) -> None:
+    samples, first = noise(seed, low, 2.0 * low, 0.1), round(10_000.0 * place)
+    samples[first : first + 2 * width] += np.repeat([height, -height], width)
+    (click,) = envelope_of(signal_of(samples), range_hz).emphases
+    assert click.time_s == pytest.approx(place, abs=0.005)
+    assert click.amplitude == pytest.approx(height, abs=0.5 + 0.15 * height)
 
 
 def test_clicks_by_the_thousand_are_each_told() -> None:
