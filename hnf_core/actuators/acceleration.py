@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import FileError, UsageError
 from ..export.wav import read_channels
+from ..signal import Signal
 from .limits import Limits
 from .source import Samples
 
@@ -36,15 +37,19 @@ def read_acceleration(path: Path, limits: Limits) -> Acceleration:
     """A file that states m/s² is taken at its word. One without a unit whose samples lie within −1 … 1, as sound files'
     do, plays with 1 as the actuator's full scale; one that goes beyond is taken as m/s². Raises FileError,
     also where there is no sample in it."""
-    signals = read_channels(path)
+    return acceleration_of(read_channels(path), limits, str(path))
+
+
+def acceleration_of(signals: Sequence[Signal], limits: Limits, where: str) -> Acceleration:
+    """As read_acceleration, of the channels of a file that messages name as where."""
     first = signals[0]
     if len(first.samples) == 0:
-        raise FileError("has no samples.", where=str(path), remedy="Export it again.")
+        raise FileError("has no samples.", where=where, remedy="Export it again.")
     samples = np.ascontiguousarray(np.stack([each.samples for each in signals], axis=1), dtype=np.float32)
     if first.provenance.get("units") != "as stored":
         return Acceleration(samples, first.sample_rate, "in m/s²")
     if np.abs(samples).max(initial=0.0) > 1.0:
-        return Acceleration(samples, first.sample_rate, "without a unit, taken as m/s²")
+        return Acceleration(samples, first.sample_rate, "without a unit, taken as m/s² since it goes beyond 1")
     full = np.float32(limits.full_scale_m_s2)
     words = f"without a unit: its 1.0 is played as {limits.full_scale_m_s2:g} m/s², full scale"
     return Acceleration(samples * full, first.sample_rate, words)

@@ -9,6 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from ..actuators.acceleration import acceleration_of
 from ..actuators.measure.bands import BandError, band_errors, largest_db, rms_db
 from ..actuators.measure.estimate import estimate
 from ..actuators.measure.excitation import noise, sweep
@@ -99,7 +100,7 @@ def _add_report(actions: Any) -> None:
         description="Print how far the vibration that a skin gets is from the one asked for, per third of an octave, "
         "without and with compensation, limits included.",
     )
-    parser.add_argument("file", type=Path, metavar="FILE.wav", help="a signal in m/s²")
+    parser.add_argument("file", type=Path, metavar="FILE.wav", help="a signal; which unit is taken is said")
     parser.add_argument("--profile", required=True, metavar="NAME|FILE.json", help="a profile; measured ones say more")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.set_defaults(run=run_report)
@@ -284,7 +285,9 @@ def _measured_in_words(path: Path, found: Measured, errors: tuple[BandError, ...
 
 def run_report(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
-    profile, signal = profile_at(arguments.profile), read_wav(arguments.file)
+    profile = profile_at(arguments.profile)
+    found = acceleration_of([read_wav(arguments.file)], profile.limits, str(arguments.file))
+    signal = Signal(found.samples[:, 0], found.rate_hz, 0)
     plain, made_up = (felt(signal, profile, compensate=compensate) for compensate in (False, True))
     without, compensated = (felt_bands(signal, each.signal, profile) for each in (plain, made_up))
     rows = [
@@ -294,6 +297,7 @@ def run_report(arguments: argparse.Namespace) -> int:
     if arguments.json:
         record = {
             "profile": profile.name,
+            "unit": found.unit,
             "measured": profile.response is not None,
             "limited_samples_before": plain.limited_samples,
             "limited_samples_after": made_up.limited_samples,
@@ -309,6 +313,7 @@ def run_report(arguments: argparse.Namespace) -> int:
                 f"hnf: its limits change {each.limited_samples} samples{what}; a softer signal keeps its shape.",
                 file=sys.stderr,
             )
+    print(f"{arguments.file}: {found.unit}, largest {found.peak_m_s2:.3g} m/s²")
     print(f"{'band':>17}  {'without':>9}  {'with compensation':>18}")
     for row in rows:
         texts = ["–" if row[key] is None else f"{row[key]:+.2f} dB" for key in ("before_db", "after_db")]

@@ -89,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
             pass
         finally:
             stream.stop()
-    return _told(arguments, profile, stream.report)
+    return _told(arguments, profile, found, stream.report)
 
 
 def _check(arguments: argparse.Namespace, target: Target) -> None:
@@ -152,10 +152,10 @@ def _watch(stream: Stream, meter: LevelMeter) -> None:
         meter.close()
 
 
-def _told(arguments: argparse.Namespace, profile: ActuatorProfile, report: StreamReport) -> int:
+def _told(arguments: argparse.Namespace, profile: ActuatorProfile, found: Acceleration, report: StreamReport) -> int:
     if arguments.json:
-        record = {"wav": _names(arguments), "target": arguments.to, "profile": profile.name, **report.to_json()}
-        print(json.dumps(record, indent=1))
+        asked = {"wav": _names(arguments), "unit": found.unit, "target": arguments.to, "profile": profile.name}
+        print(json.dumps(asked | report.to_json(), indent=1))
     else:
         print(
             f"{report.played_s:.2f} s played: {report.blocks} blocks, 99 % of them computed within "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 import wave
 from pathlib import Path
 
@@ -170,6 +171,49 @@ def test_a_report_tells_only_of_bands_that_were_asked_for(tmp_path: Path, capsys
     (heard,) = (band for band in bands if band["before_db"] is not None)
     assert heard["low_hz"] < 100.0 < heard["high_hz"]
     assert abs(heard["before_db"]) < 0.1
+
+
+def test_a_file_without_a_unit_means_the_same_to_a_report_as_to_a_stream(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """At rates and lengths where its coil warms: which unit was taken decides what is limited at all."""
+    tone = np.rint(32767.0 * np.sin(2.0 * np.pi * 200.0 * np.arange(80_000) / 10_000.0)).astype("<i2")
+    with wave.open(str(tmp_path / "one.wav"), "wb") as file:
+        file.setparams((1, 2, 10_000, len(tone), "NONE", ""))
+        file.writeframes(tone.tobytes())
+    assert hnf("stream", tmp_path / "one.wav", "--to", f"file:{tmp_path / 'out.wav'}", "--json") == 0
+    played = json.loads(capsys.readouterr().out)
+    words = ("actuators", "report", tmp_path / "one.wav", "--profile", GENERIC.name)
+    assert hnf(*words, "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["limited_samples_before"] == played["limited_samples"] > 1000
+    assert told["unit"] == played["unit"] == "without a unit: its 1.0 is played as 30 m/s², full scale"
+    assert hnf(*words) == 0
+    assert f"one.wav: {told['unit']}, largest 29.9 m/s²" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("largest", "unit"),
+    [(0.99, "without a unit: its 1.0 is played as 30 m/s², full scale"), (1.01, "without a unit, taken as m/s²")],
+)
+def test_which_unit_was_taken_is_told_and_why(
+    largest: float, unit: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """29 dB lie between the two."""
+    _float_wav(tmp_path / "x.wav", largest * np.sin(0.1 * np.arange(2000)))
+    assert hnf("stream", tmp_path / "x.wav", "--to", f"file:{tmp_path / 'out.wav'}", "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["unit"].startswith(unit)
+    assert told["peak"] == pytest.approx(largest if largest < 1.0 else largest / 30.0, abs=0.002)
+    assert largest < 1.0 or "since it goes beyond 1" in told["unit"]
+
+
+def _float_wav(path: Path, samples: np.ndarray) -> None:
+    """10 kHz, and no word of a unit."""
+    data = samples.astype("<f4").tobytes()
+    form = struct.pack("<HHIIHH", 3, 1, 10_000, 40_000, 4, 32)
+    body = b"WAVEfmt " + struct.pack("<I", len(form)) + form + b"data" + struct.pack("<I", len(data)) + data
+    path.write_bytes(b"RIFF" + struct.pack("<I", len(body)) + body)
 
 
 @pytest.mark.parametrize("words", [("--low", "0"), ("--low", "500", "--high", "100"), ("--sensitivity", "50")])
