@@ -11,4 +11,7 @@ def at_most(profile: ActuatorProfile, device: SinkFormat) -> str:
     limits = profile.limits
     within = limits.within(device.peak)
     own = "the device's own limit, " if within.peak < limits.peak else ""
-    return f"at most {within.peak * within.full_scale_m_s2:.4g} m/s² ({own}{profile.title})"
+    strongest = f"at most {within.peak * within.full_scale_m_s2:.4g} m/s²"
+    if profile.peak_m_s2 is None:
+        return f"{strongest}, an assumption: {own}'{profile.title}' does not state its largest acceleration"
+    return f"{strongest} ({own}{profile.title})"

@@ -32,6 +32,11 @@ class ActuatorProfile:
     response: Response | None = None
 
     @property
+    def assumes_full_scale(self) -> bool:
+        """Nobody stated or measured what full scale is in m/s²: limits take the generic voice coil's."""
+        return self.peak_m_s2 is None or self.name == GENERIC.name
+
+    @property
     def limits(self) -> Limits:
         """What may leave for it. Where its maker is silent: full scale as the generic voice coil's, half of it for
         ever, 10 s to warm; no steeper than a full-scale sine at the top of its range."""

@@ -143,7 +143,8 @@ def _listed(found: Devices) -> dict[str, Any]:
     profiles = [
         {
             "name": profile.name, "title": profile.title, "source": profile.source, "range_hz": profile.range_hz,
-            "peak_m_s2": profile.peak_m_s2, "limits": asdict(profile.limits),
+            "peak_m_s2": profile.peak_m_s2, "full_scale_assumed": profile.assumes_full_scale,
+            "limits": asdict(profile.limits),
         }
         for profile in PROFILES.values()
     ]  # fmt: skip

@@ -62,11 +62,11 @@ def add_scale(parser: argparse.ArgumentParser) -> None:
 
 
 def scale_of(arguments: argparse.Namespace) -> tuple[float | None, tuple[float, float] | None]:
-    """Full scale and range as told, None where they are not. Raises UsageError."""
+    """Full scale and range as told, None where they are not, not even by the profile. Raises UsageError."""
     full_scale, range_hz = arguments.full_scale, None
     if arguments.profile is not None:
         profile = profile_at(arguments.profile)
-        full_scale, range_hz = profile.limits.full_scale_m_s2, profile.range_hz
+        full_scale, range_hz = profile.peak_m_s2, profile.range_hz
     if arguments.range is not None:
         range_hz = (arguments.range[0], arguments.range[1])
     return full_scale, range_hz
@@ -104,9 +104,18 @@ def run(arguments: argparse.Namespace, read_scene: SceneReader = no_scene) -> in
         surface = read_scene(arguments.scene, signal.provenance, arguments.object)
         options = replace(options, surface=surface)
     exported = export_signal(signal, form, arguments.out, options)
-    print(json.dumps(exported.to_json(), indent=1) if arguments.json else exported.report())
+    assumed = form.scaled and full_scale is None
+    record = exported.to_json() | {"full_scale_assumed": assumed}
+    print(json.dumps(record, indent=1) if arguments.json else exported.report())
     if exported.clipped:
         print("hnf: what was clipped fits a larger --full-scale, or a stronger actuator.", file=sys.stderr)
-    elif form.scaled and full_scale is None and not arguments.json:
-        print(f"- 1 is {FULL_SCALE_M_S2:g} m/s², the generic voice coil's: --profile or --full-scale say otherwise.")
+    elif assumed and not arguments.json:
+        print(f"- 1 is {FULL_SCALE_M_S2:g} m/s², {_assumption(arguments.profile)}")
     return 0
+
+
+def _assumption(profile: str | None) -> str:
+    """Why full scale is the default, and what to do about it."""
+    if profile is None:
+        return "the generic voice coil's: --profile or --full-scale say otherwise."
+    return f"an assumption: '{profile}' does not state its largest acceleration. If you know it, give --full-scale."

@@ -155,7 +155,8 @@ def _watch(stream: Stream, meter: LevelMeter) -> None:
 def _told(arguments: argparse.Namespace, profile: ActuatorProfile, found: Acceleration, report: StreamReport) -> int:
     if arguments.json:
         asked = {"wav": _names(arguments), "unit": found.unit, "target": arguments.to, "profile": profile.name}
-        print(json.dumps(asked | report.to_json(), indent=1))
+        scale = {"full_scale_m_s2": profile.limits.full_scale_m_s2, "full_scale_assumed": profile.assumes_full_scale}
+        print(json.dumps(asked | scale | report.to_json(), indent=1))
     else:
         print(
             f"{report.played_s:.2f} s played: {report.blocks} blocks, 99 % of them computed within "

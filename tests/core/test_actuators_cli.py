@@ -208,6 +208,19 @@ def test_which_unit_was_taken_is_told_and_why(
     assert largest < 1.0 or "since it goes beyond 1" in told["unit"]
 
 
+def test_an_export_does_not_take_our_full_scale_for_an_actuator_s(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_wav(tmp_path / "x.wav", Signal(np.sin(0.1 * np.arange(2000)).astype(np.float32), 10_000.0, 0))
+    words = ("export", tmp_path / "x.wav", "--format", "haptic", "--out", tmp_path / "x.haptic")
+    assert hnf(*words, "--profile", "eai-c-mf") == 0
+    assert "1 is 30 m/s², an assumption: 'eai-c-mf' does not state" in capsys.readouterr().out
+    for scale, assumed in ((("--profile", "eai-c-mf"), True), ((), True), (("--full-scale", 30), False)):
+        assert hnf(*words, *scale, "--json") == 0
+        record = json.loads(capsys.readouterr().out)
+        assert (record["full_scale_m_s2"], record["full_scale_assumed"]) == (30.0, assumed)
+
+
 def _float_wav(path: Path, samples: np.ndarray) -> None:
     """10 kHz, and no word of a unit."""
     data = samples.astype("<f4").tobytes()

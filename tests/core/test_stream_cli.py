@@ -11,6 +11,7 @@ import sys
 import time
 import wave
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from ptys import needs_pty
 
 from hnf_core.actuators.chain import counts_of
 from hnf_core.actuators.profile import GENERIC
+from hnf_core.actuators.profile_file import write_profile
 from hnf_core.actuators.report import StreamReport
 from hnf_core.actuators.sink import SinkFormat
 from hnf_core.actuators.sources.recorded import Recorded
@@ -101,6 +103,22 @@ def test_a_wav_without_a_unit_plays_its_full_scale(tmp_path: Path, capsys: pytes
     assert json.loads(capsys.readouterr().out)["peak"] == pytest.approx(0.5, abs=0.001)
     assert hnf(tmp_path / "a.wav", "--to", f"file:{tmp_path / 'out.wav'}") == 0
     assert "without a unit: its 1.0 is played as 30 m/s², full scale" in capsys.readouterr().out
+
+
+def test_a_full_scale_that_nobody_stated_is_called_an_assumption(
+    noise: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The maker of the EAI C-MF states no acceleration, so ours is not to be taken for his."""
+    measured = tmp_path / "mine.json"
+    write_profile(measured, replace(GENERIC, name="mine", title="Mine", peak_m_s2=12.0))
+    for profile, assumed in (("eai-c-mf", True), (GENERIC.name, True), (measured, False)):
+        words = (noise, "--to", f"file:{tmp_path / 'out.wav'}", "--profile", profile)
+        assert hnf(*words) == 0
+        second = capsys.readouterr().out.splitlines()[1]
+        assert ("30 m/s², an assumption: 'EAI C-MF tactor' does not state" in second) == (profile == "eai-c-mf")
+        assert hnf(*words, "--json") == 0
+        report = json.loads(capsys.readouterr().out)
+        assert (report["full_scale_m_s2"], report["full_scale_assumed"]) == (30.0 if assumed else 12.0, assumed)
 
 
 def stereo(path: Path, left: np.ndarray, right: np.ndarray, rate: int = 10_000) -> Path:
