@@ -26,15 +26,21 @@ BLEND_STARTS = (b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b")
 USD_STARTS = (b"#usda", b"PXR-USDC", b"PK\x03\x04")
 
 
-def open_scene(path: Path, cache: Path | None = None, progress: Callable[[str, float], None] | None = None) -> Any:
+def open_scene(
+    path: Path,
+    cache: Path | None = None,
+    progress: Callable[[str, float], None] | None = None,
+    *,
+    keep: bool = True,
+) -> Any:
     """Open a scene file and return its bpy Scene, which is then Blender's active one.
 
     A .blend is opened as it is (its user interface and its Python scripts are left alone); every other format is
     imported into an empty scene, never into the start-up one. cache: folder where the surfaces of reconstructions are
-    kept, None = they are made every time; progress: told what is done of one, and which share of it. Raises FileError
-    where the file is missing, damaged, of an unsupported kind or refers to a missing part, and SceneError where it
-    holds nothing to touch. What was open before stays open when the file is refused by its head, and when no surface
-    can be made of its splats.
+    kept, None = they are made every time; keep: False = those that are there are read, and none is written; progress:
+    told what is done of one, and which share of it. Raises FileError where the file is missing, damaged, of an
+    unsupported kind or refers to a missing part, and SceneError where it holds nothing to touch. What was open before
+    stays open when the file is refused by its head, and when no surface can be made of its splats.
     """
     import bpy
 
@@ -52,9 +58,9 @@ def open_scene(path: Path, cache: Path | None = None, progress: Callable[[str, f
             )
         return scene
     if suffix == ".json":
-        return open_export(path, lambda geometry: open_scene(geometry, cache, progress))
+        return open_export(path, lambda geometry: open_scene(geometry, cache, progress, keep=keep))
     if suffix == ".ply" and read_ply_header(path).is_splat:
-        return _open_splats(path, cache, progress)
+        return _open_splats(path, cache, progress, keep)
     empty_scene()
     importer = _importer(suffix, path)
     _run(path, lambda: importer(filepath=str(path)))
@@ -66,13 +72,13 @@ def open_scene(path: Path, cache: Path | None = None, progress: Callable[[str, f
     return scene
 
 
-def _open_splats(path: Path, cache: Path | None, progress: Callable[[str, float], None] | None) -> Any:
+def _open_splats(path: Path, cache: Path | None, progress: Callable[[str, float], None] | None, keep: bool) -> Any:
     import bpy
 
     from .splat_reconstruction import read_reconstruction
     from .splat_scene import add_reconstruction
 
-    made = read_reconstruction(path, cache, progress=progress)
+    made = read_reconstruction(path, cache, keep=keep, progress=progress)
     empty_scene()
     scene = bpy.context.scene
     add_reconstruction(scene, made)

@@ -49,12 +49,18 @@ class Reconstruction:
 
 
 def read_reconstruction(
-    path: Path, cache: Path | None = None, *, cells: int | None = None, progress: Progress | None = None
+    path: Path,
+    cache: Path | None = None,
+    *,
+    keep: bool = True,
+    cells: int | None = None,
+    progress: Progress | None = None,
 ) -> Reconstruction:
     """The splats of a file and their surface: from cache where it was made before, else made now and put there.
 
-    cache: folder, None = nothing is kept. cells: along its longest axis, None = CELLS. progress: as reconstruct takes
-    it. Raises FileError where the file cannot be read, SceneError where nothing solid is seen in it.
+    cache: folder, None = nothing is kept. keep: False = read from it and write nothing. cells: along its longest axis,
+    None = CELLS. progress: as reconstruct takes it. Raises FileError where the file cannot be read, SceneError where
+    nothing solid is seen in it.
     """
     cells = CELLS if cells is None else cells
     splats = read_splats(path)
@@ -63,7 +69,7 @@ def read_reconstruction(
     if surface is None:
         made = reconstruct(splats, cells=cells, progress=progress, where=str(path))
         surface = TouchSurface(made.vertices, made.triangles, made.colour, made.quality.warnings)
-        if cache is not None:
+        if cache is not None and keep:
             _keep(cache, path, cells, surface)
     name = path.stem[: -len(PACKED)] if path.stem.lower().endswith(PACKED) else path.stem
     up = up_axis(read_ply_header(path)).direction

@@ -44,10 +44,11 @@ def keep_strokes(report: Report, folder: Path, baked_name: str) -> None:
 def with_probes(session: Session, plan: Plan) -> Plan:
     """The plan, and what each probe will cost or why it cannot be done; nothing is rendered."""
     planned, failed = [], list(plan.failed)
+    out = session.request.out
     for place in session.request.probes:
         try:
             touched, found = locate(session, place)
-            is_there = is_baked(session, touched, found, session.request.out / CACHE_NAME)
+            is_there = out is not None and is_baked(session, touched, found, out / CACHE_NAME)
         except HnfError as error:
             failed.append(Failed(place.name, str(error)))
             continue
@@ -69,7 +70,7 @@ def run_probes(session: Session, report: Report) -> Generator[Progress, None, No
         try:
             with timed(report, "probe_s"):
                 probed = yield from _shares(session, place, report, done)
-                report.probes.append(write_probe(session.request.out, probed))
+                report.probes.append(write_probe(session.request.folder, probed))
             for note in probed.notes:
                 report.warn(f"probe '{place.name}': {note}")
         except HnfError as error:
@@ -84,7 +85,7 @@ def run_probes(session: Session, report: Report) -> Generator[Progress, None, No
 
 def _shares(session: Session, place: ProbePlace, report: Report, done: int) -> Generator[Progress, None, Probed]:
     """Shares of one probe → Progress of them all."""
-    with closing(probe_steps(session, place, session.request.out / CACHE_NAME, report.counts)) as steps:
+    with closing(probe_steps(session, place, session.request.folder / CACHE_NAME, report.counts)) as steps:
         while True:
             try:
                 share = next(steps)

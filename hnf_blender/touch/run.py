@@ -7,7 +7,7 @@ import signal
 import sys
 import time
 from collections.abc import Generator, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,40 +36,65 @@ from .view import Views
 
 def run(request: TouchRequest) -> int:
     """Do request and tell the person; returns the exit code. Raises HnfError where nothing could be begun."""
-    with folder_lock(request.out), _interruptible():
-        started = time.monotonic()
-        scene = _open(request)
-        opened = time.monotonic()
-        session = _session(scene, request)
-        found = without_strokes(session) if request.only_probes else gather(session)
-        earlier = earlier_strokes(request.out)
-        plan = with_probes(session, make_plan(session, found, earlier))
-        if request.plan_only:
+    with _interruptible():
+        if request.plan_only:  # nothing is written, so that no folder need be there or be held
+            plan = _prepared(request).plan
             print(plan.as_json() if request.as_json else plan.as_text())
             return 1 if plan.failed else 0
-        report = _new_report(session, found)
-        report.timings = {"open_s": round(opened - started, 3), "plan_s": round(time.monotonic() - opened, 3)}
-        bar = ProgressBar()
-        try:
-            if request.only_probes:
-                keep_strokes(report, request.out, baked_name(session))
-            else:
-                for progress in touch_steps(session, found, plan, earlier, report):
-                    bar.show(progress)
-            for progress in run_probes(session, report):
+        with folder_lock(request.folder):
+            return _touch(request)
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """All that is known before anything is rendered. open_s, plan_s: seconds it took."""
+
+    session: Session
+    found: Gathered
+    earlier: dict[str, StrokeReport]
+    plan: Plan
+    open_s: float
+    plan_s: float
+
+
+def _prepared(request: TouchRequest) -> _Prepared:
+    started = time.monotonic()
+    scene = _open(request)
+    opened = time.monotonic()
+    session = _session(scene, request)
+    found = without_strokes(session) if request.only_probes else gather(session)
+    earlier = {} if request.out is None else earlier_strokes(request.out)
+    plan = with_probes(session, make_plan(session, found, earlier))
+    return _Prepared(session, found, earlier, plan, opened - started, time.monotonic() - opened)
+
+
+def _touch(request: TouchRequest) -> int:
+    started = time.monotonic()
+    ready = _prepared(request)
+    session, found = ready.session, ready.found
+    report = _new_report(session, found)
+    report.timings = {"open_s": round(ready.open_s, 3), "plan_s": round(ready.plan_s, 3)}
+    bar = ProgressBar()
+    try:
+        if request.only_probes:
+            keep_strokes(report, request.folder, baked_name(session))
+        else:
+            for progress in touch_steps(session, found, ready.plan, ready.earlier, report):
                 bar.show(progress)
-        finally:
-            bar.close()
-            report.timings["total_s"] = round(time.monotonic() - started, 3)
-            report.write(request.out)
-        return _tell(report, request)
+        for progress in run_probes(session, report):
+            bar.show(progress)
+    finally:
+        bar.close()
+        report.timings["total_s"] = round(time.monotonic() - started, 3)
+        report.write(request.folder)
+    return _tell(report, request)
 
 
 def touch_steps(
     session: Session, found: Gathered, plan: Plan, earlier: dict[str, StrokeReport], report: Report
 ) -> Generator[Progress, None, None]:
     """Everything that the plan needs; report grows with each stroke. Where all is fresh, nothing is done."""
-    folder = session.request.out
+    folder = session.request.folder
     fresh = {job.key: earlier[job.key] for job in found.jobs if _is_fresh(job, earlier, folder)}
     baked_path = folder / baked_name(session)
     report.baked_blend = baked_path.name
@@ -152,8 +177,9 @@ def _open(request: TouchRequest) -> Any:
             said = f"reconstructing {request.scene.name}"
             return open_scene(
                 request.scene,
-                request.out / CACHE_NAME,
+                None if request.out is None else request.out / CACHE_NAME,
                 lambda stage, share: bar.show(Progress(f"{said}: {stage}", 0, 1, share)),
+                keep=not request.plan_only,
             )
         finally:
             bar.close()
@@ -187,10 +213,10 @@ def _new_report(session: Session, found: Gathered) -> Report:
     return report
 
 
-def _is_fresh(job: Job, earlier: dict[str, StrokeReport], folder: Path) -> bool:
-    """The signal of an equal stroke is there, byte for byte as it was written."""
+def _is_fresh(job: Job, earlier: dict[str, StrokeReport], folder: Path | None) -> bool:
+    """The signal of an equal stroke is there, byte for byte as it was written. folder: None = there is none."""
     known = earlier.get(job.key)
-    if known is None or Path(known.wav).name != known.wav:
+    if known is None or folder is None or Path(known.wav).name != known.wav:
         return False
     try:
         return content_hash((folder / known.wav).read_bytes()) == known.wav_hash and (folder / known.picture).is_file()
@@ -211,7 +237,7 @@ def _feel(session: Session, job: Job, baked: BakedStroke, views: Views, report: 
         view, notes = views.of_stroke(baked.contacts, baked.touched.surface, baked.touched.obj)
         for note in notes:
             report.warn(note)
-        return deliver(session.request.out, job, baked, felt, view, {stroke.wav for stroke in report.strokes})
+        return deliver(session.request.folder, job, baked, felt, view, {stroke.wav for stroke in report.strokes})
 
 
 def _tell(report: Report, request: TouchRequest) -> int:
@@ -220,16 +246,18 @@ def _tell(report: Report, request: TouchRequest) -> int:
         print(report.as_json(), end="")
     else:
         for entry in report.probes:
-            print(f"{probe_line(entry)} → {request.out / (entry['tactile_map'] or {}).get('picture', 'report.json')}")
+            print(
+                f"{probe_line(entry)} → {request.folder / (entry['tactile_map'] or {}).get('picture', 'report.json')}"
+            )
         for stroke in () if request.only_probes else report.strokes:
             state = "  (fresh)" if stroke.fresh else ""
             print(
                 f"{stroke.name}: {stroke.library_material} ({stroke.confidence:.0%}), {stroke.duration_s:.2f} s, "
-                f"{stroke.rms_m_s2:.3g} m/s² RMS → {request.out / stroke.wav}{state}"
+                f"{stroke.rms_m_s2:.3g} m/s² RMS → {request.folder / stroke.wav}{state}"
             )
         counts = report.counts
         print(f"{counts.renders} renders, {counts.rays} rays, {counts.network_calls} network calls, "
-              f"{counts.diffusion_calls} reliefs estimated; report: {request.out / 'report.json'}")  # fmt: skip
+              f"{counts.diffusion_calls} reliefs estimated; report: {request.folder / 'report.json'}")  # fmt: skip
     for warning in report.warnings:
         print(f"note: {with_option(warning)}", file=sys.stderr)
     for failed in report.failed:

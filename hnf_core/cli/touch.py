@@ -35,14 +35,15 @@ class MaterialChoice:
 class TouchRequest:
     """What a run of `touch` was asked for.
 
-    scene: file to open, or None for the file already open in Blender. metres_per_unit: None = the scene's own.
+    scene: file to open, or None for the file already open in Blender. out: folder of the results; None where only a
+    plan is asked for and no earlier results are to be read. metres_per_unit: None = the scene's own.
     seed: None = each stroke's own. plan_only: print the plan and stop. probes: places to look at; with them, the
     scene's own strokes are left alone unless placements ask for strokes too. encoder: name or file of the E that
     describes tactile maps, "" = the default of each route.
     """
 
     scene: Path | None
-    out: Path
+    out: Path | None
     placements: tuple[Placement, ...] = ()
     choices: tuple[MaterialChoice, ...] = ()
     metres_per_unit: float | None = None
@@ -51,6 +52,13 @@ class TouchRequest:
     as_json: bool = False
     probes: tuple[ProbePlace, ...] = ()
     encoder: str = ""
+
+    @property
+    def folder(self) -> Path:
+        """Where the results go. Raises UsageError where none is named."""
+        if self.out is None:
+            raise UsageError("--out is missing.", remedy="Say where the results go: --out DIR. (--plan needs none.)")
+        return self.out
 
     @property
     def only_probes(self) -> bool:
@@ -67,7 +75,12 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         "command line, one default stroke is placed on every touchable material.",
     )
     parser.add_argument("scene", nargs="?", type=Path, metavar="SCENE", help="scene file; default: the open file")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the results")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder for the results; with --plan: of an earlier run, to say what is fresh",
+    )
     parser.add_argument(
         "--stroke", action="append", default=[], metavar="WORDS", type=primitive_of, dest="strokes",
         help=f"place a stroke: {', '.join(PRIMITIVES)}; or in words: 'scrape right to left, 1.5 N, 80 mm/s'. "
@@ -93,7 +106,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     )  # fmt: skip
     parser.add_argument("--scale", type=float, metavar="METRES_PER_UNIT", help="length of one scene unit in metres")
     parser.add_argument("--seed", type=seed_of, metavar="N", help="seed of all strokes; default: each stroke's own")
-    parser.add_argument("--plan", action="store_true", help="say what would be done, skipped and why; do nothing")
+    parser.add_argument("--plan", action="store_true", help="say what would be done, skipped and why; write nothing")
     parser.add_argument("--json", action="store_true", help="print the report (or the plan) as JSON")
     return parser
 
@@ -107,7 +120,7 @@ def request_from(arguments: argparse.Namespace) -> TouchRequest:
         )
     if arguments.scale is not None and not 0.0 < arguments.scale < float("inf"):
         raise UsageError("--scale must be a positive number of metres per unit.", remedy="Example: --scale 0.01")
-    return TouchRequest(
+    request = TouchRequest(
         scene=arguments.scene,
         out=arguments.out,
         placements=tuple(Placement(p, t) for p, t in zip(arguments.strokes, arguments.targets, strict=True)),
@@ -119,6 +132,9 @@ def request_from(arguments: argparse.Namespace) -> TouchRequest:
         probes=tuple(arguments.probes),
         encoder=arguments.encoder,
     )
+    if not request.plan_only:
+        request.folder  # noqa: B018  # refused here, before Blender starts
+    return request
 
 
 def _choice(text: str) -> MaterialChoice:

@@ -116,6 +116,12 @@ def test_the_plan_says_what_the_splats_are_for_and_what_is_missing(ran: Ran, no_
     assert any("'slab' is a reconstruction, which has no scale of its own" in note for note in plan["notes"])
 
 
+def test_a_plan_keeps_no_surface(ran: Ran, tmp_path, capsys) -> None:
+    assert touch(ran.path, tmp_path / "out", "--plan", *STROKE)[0] == 0
+    assert "left-right-soft on slab" in capsys.readouterr().out
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_baked_file_feels_the_same_as_the_splat_file(ran: Ran, no_work, tmp_path) -> None:
     shutil.copytree(ran.out / "cache", tmp_path / "out" / "cache")
     code, report = touch(ran.out / ran.report["baked_blend"], tmp_path / "out")  # it keeps its scale

@@ -133,6 +133,12 @@ def test_wrong_usage_is_exit_code_2(tmp_path, words) -> None:
     assert main(["touch", str(tmp_path / "scene.blend"), "--out", str(tmp_path / "out"), *words]) == 2
 
 
+def test_a_run_without_a_folder_is_asked_for_one(tmp_path, capsys) -> None:
+    ridge_plate()
+    assert main(["touch", str(save_scene(tmp_path / "scene.blend"))]) == 2
+    assert "--out DIR" in capsys.readouterr().err
+
+
 def test_an_output_folder_below_a_file(tmp_path, capsys) -> None:
     ridge_plate()
     scene = save_scene(tmp_path / "scene.blend")
