@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 from hnf_core.errors import StrokeError
 
 from .. import compat
 from .channels import read_channel
 from .new_stroke import MIN_KEY_FRAMES
+from .own_keys import ensure_own_keys
 from .stroke_timeline import motion_end
 
 PATH = "hnf_stroke.force"
@@ -43,8 +45,9 @@ def ensure_force_keys(stroke: Any, scene: Any, metres_per_unit: float) -> Any:
 def copy_force(given: Any, taken: Any, scene: Any, metres_per_unit: float, *, fit_time: bool) -> None:
     """Give one stroke's force to another: its F-curve key by key, or its one value where it is not keyed.
 
-    Times count from each stroke's start; fit_time stretches them by the ratio of the two motions' durations. Raises
-    StrokeError where a force is driven, or a duration cannot be told.
+    Times count from each stroke's start; fit_time stretches them by the ratio of the two motions' durations. Where the
+    two share one action, the one that takes gets its own. Raises StrokeError where a force is driven, keyframes are
+    linked, or a duration cannot be told.
     """
     for stroke in (given, taken):
         if read_channel(stroke, "force", scene).source == "driven":
@@ -60,27 +63,56 @@ def copy_force(given: Any, taken: Any, scene: Any, metres_per_unit: float, *, fi
         own_length = motion_end(taken, scene, metres_per_unit) - own_start
         stretch = own_length / length if length > 0.0 and own_length > 0.0 else 1.0
     curve = force_curve(given)
+    extrapolation, keys = ("CONSTANT", []) if curve is None else (curve.extrapolation, _read_keys(curve))
+    ensure_own_keys(taken)  # it may be the very action of the stroke that gives
     if force_curve(taken) is not None:
         _clear(taken)
     taken.hnf_stroke.force = given.hnf_stroke.force
-    if curve is None or curve.is_empty:
-        return
-    copied: list[tuple[Any, list[tuple[float, float]]]] = []
-    for key in curve.keyframe_points:
-        places = [(own_start + (x - start) * stretch, y) for x, y in (key.co, key.handle_left, key.handle_right)]
-        if copied and places[0][0] - copied[-1][1][0][0] < MIN_KEY_FRAMES:
-            copied.pop()  # pressed together, the later key counts
-        copied.append((key, places))
-    for _, ((frame, value), _, _) in copied:
-        taken.hnf_stroke.force = value
-        taken.keyframe_insert(PATH, frame=frame)
-    own = force_curve(taken)
-    own.extrapolation = curve.extrapolation
-    for key, (model, (_, left, right)) in zip(own.keyframe_points, copied, strict=True):
-        for name in COPIED:
-            setattr(key, name, getattr(model, name))
-        key.handle_left, key.handle_right = left, right
-    own.update()
+    if keys:
+        _write_keys(taken, _moved(keys, lambda frame: own_start + (frame - start) * stretch), extrapolation)
+
+
+class _Key(NamedTuple):
+    """A keyframe as plain values, which outlive its F-curve. places: its own and its two handles'; looks: COPIED."""
+
+    places: tuple[tuple[float, float], ...]
+    looks: tuple[Any, ...]
+
+
+def _read_keys(curve: Any) -> list[_Key]:
+    return [
+        _Key(
+            tuple((float(x), float(y)) for x, y in (key.co, key.handle_left, key.handle_right)),
+            tuple(getattr(key, name) for name in COPIED),
+        )
+        for key in curve.keyframe_points
+    ]
+
+
+def _moved(keys: list[_Key], frame: Callable[[float], float]) -> list[_Key]:
+    """The keys at other frames; of those that this presses together the later one counts."""
+    moved: list[_Key] = []
+    for key in keys:
+        places = tuple((frame(x), y) for x, y in key.places)
+        if moved and places[0][0] - moved[-1].places[0][0] < MIN_KEY_FRAMES:
+            moved.pop()
+        moved.append(_Key(places, key.looks))
+    return moved
+
+
+def _write_keys(stroke: Any, keys: list[_Key], extrapolation: str) -> None:
+    """Key the force of a stroke that has no keyframes of it."""
+    for key in keys:
+        frame, value = key.places[0]
+        stroke.hnf_stroke.force = value
+        stroke.keyframe_insert(PATH, frame=frame)
+    curve = force_curve(stroke)
+    curve.extrapolation = extrapolation
+    for point, key in zip(curve.keyframe_points, keys, strict=True):
+        for name, value in zip(COPIED, key.looks, strict=True):
+            setattr(point, name, value)
+        _, point.handle_left, point.handle_right = key.places
+    curve.update()
 
 
 def _clear(stroke: Any) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from hnf_core.errors import StrokeError
 
 from .. import compat
+from .own_keys import ensure_own_keys
 
 PATHS = frozenset({"hnf_stroke.force", "hnf_stroke.progress"})
 
@@ -29,13 +30,7 @@ def begin_at(stroke: Any, frame: float) -> None:
             "its keyframes are in the NLA.", where=where, remedy="Move the strip there, and set its start with it."
         )
     if keyed_curves(stroke):
-        action = animation.action
-        if action.library is not None:
-            raise StrokeError(
-                "its keyframes are linked.", where=where, remedy="Make its action local, or move it there."
-            )
-        if action.users > 1 + action.use_fake_user:
-            compat.own_action(stroke)
+        ensure_own_keys(stroke)
     by = frame - float(group.start)
     for curve in keyed_curves(stroke):
         for part in ("co", "handle_left", "handle_right"):
