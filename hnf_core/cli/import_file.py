@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..export.convert import import_signal
-from ..export.formats import SUFFIXES, format_of
-from ..export.loss import levels_table, loss_between, loss_table
+from ..export.formats import SUFFIXES, format_of, format_of_file
+from ..export.loss import earlier_loss, levels_table, loss_between, loss_table, rendered_table
 from ..export.options import RENDER_RATE_HZ, ImportOptions
+from ..export.sidecar import loss_beside, sidecar_of
 from ..export.wav import write_wav
 from ..export.wav_copies import read_any_wav
 from .export import add_scale, check_out, scale_of
 from .verbs import HELP
 
-TOLD = ("scale", "carrier", "ignored")
+TOLD = ("scale", "assumed", "carrier", "ignored")
 """Of the provenance: what was assumed, made up, and left out."""
 
 
@@ -45,13 +47,17 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 def run(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
     check_out(arguments.out, ".wav", arguments.file)
-    form = None if arguments.format is None else format_of(arguments.format)
+    form = format_of_file(arguments.file) if arguments.format is None else format_of(arguments.format)
     full_scale, range_hz = scale_of(arguments)
     options = ImportOptions(full_scale, range_hz, arguments.rate, arguments.seed)
     signal = import_signal(arguments.file, options, form)
     write_wav(arguments.out, signal)
     told = tuple(f"{name}: {signal.provenance[name]}" for name in TOLD if name in signal.provenance)
+    if (lost := loss_beside(arguments.file)) is not None:
+        told += earlier_loss(lost, sidecar_of(arguments.file).name)
     loss = loss_between(signal, read_any_wav(arguments.out, options), told)
+    # What was rendered equals itself, which says nothing of a file that holds no samples.
+    loss = replace(loss, exact=loss.exact and form.sampled)
     record = {
         "wav": str(arguments.out),
         "source": str(arguments.file),
@@ -61,11 +67,14 @@ def run(arguments: argparse.Namespace) -> int:
         "peak_m_s2": float(np.abs(signal.samples).max(initial=0.0)),
         "seed": signal.seed,
         "provenance": dict(signal.provenance),
+        "waveform": "as stored" if form.sampled else "made up",
+        "export_loss": lost,
         "loss": loss.to_json(),
     }
     if arguments.json:
         print(json.dumps(record, indent=1))
         return 0
-    print(f"{arguments.out}: what {arguments.file} says, in m/s²\n{loss_table(loss)}")
+    print(f"{arguments.out}: what {arguments.file} says, in m/s²")
+    print(loss_table(loss) if form.sampled else rendered_table(loss))
     print(levels_table(loss.after, loss.bands))
     return 0

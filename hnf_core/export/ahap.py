@@ -32,6 +32,9 @@ from .tone import EMPHASIS_S, render
 LONGEST_EVENT_S = 30.0
 POINTS_A_CURVE = 16
 INTENSITY, SHARPNESS = "HapticIntensityControl", "HapticSharpnessControl"
+PLAYED = ("HapticContinuous", "HapticTransient")
+NOT_GIVEN = {"HapticIntensity": 1.0, "HapticSharpness": 0.5}
+"""Of an event that gives none: an assumption, since what Apple publishes leaves its defaults open."""
 LATEST_S = 10_000.0
 """Nobody's pattern is longer; a file that says so is damaged."""
 MOST_EVENTS = 20_000
@@ -136,7 +139,8 @@ def read_ahap(path: Path, options: ImportOptions) -> Signal:
     origin = origin_of(metadata.get("Description") if isinstance(metadata, dict) else None, options)
     envelope, ignored = ahap_envelope(record, origin, path)
     samples = render(envelope, options.rate_hz, options.seed, where=str(path))
-    return Signal(samples, options.rate_hz, options.seed, rendered_facts(origin, path.name, ignored))
+    facts = rendered_facts(origin, path.name, ignored, _assumed(record["Pattern"]))
+    return Signal(samples, options.rate_hz, options.seed, facts)
 
 
 def ahap_envelope(record: dict[str, Any], origin: Origin, path: Path) -> tuple[Envelope, tuple[str, ...]]:
@@ -152,7 +156,7 @@ def ahap_envelope(record: dict[str, Any], origin: Origin, path: Path) -> tuple[E
         if "Event" in entry:
             event = reading.table(entry, "Event")
             kind, at = event.get("EventType"), reading.number(event, "Time", 0.0, LATEST_S)
-            if kind not in ("HapticContinuous", "HapticTransient"):
+            if kind not in PLAYED:
                 ignored.add(f"events of the type {kind!s:.40}")
                 continue
             level, tone = _parameters(reading, event, ignored)
@@ -210,9 +214,8 @@ def _combined(
 
 
 def _parameters(reading: Reading, event: dict[str, Any], ignored: set[str]) -> tuple[float, float]:
-    """Intensity and sharpness of an event, clamped as Apple does. Where one is missing: 1 and 0.5, an
-    assumption, since what Apple publishes leaves its defaults open."""
-    found = {"HapticIntensity": 1.0, "HapticSharpness": 0.5}
+    """Intensity and sharpness of an event, clamped as Apple does. Where one is missing: NOT_GIVEN."""
+    found = dict(NOT_GIVEN)
     for each in reading.rows(event, "EventParameters") if "EventParameters" in event else []:
         value = reading.number(each, "ParameterValue", -HUGE, HUGE)
         name = str(each.get("ParameterID"))
@@ -221,6 +224,19 @@ def _parameters(reading: Reading, event: dict[str, Any], ignored: set[str]) -> t
         else:
             ignored.add(f"{name:.40}")
     return found["HapticIntensity"], found["HapticSharpness"]
+
+
+def _assumed(pattern: list[Any]) -> tuple[str, ...]:
+    """For how many events of a sound pattern each of NOT_GIVEN was taken."""
+    events = [entry["Event"] for entry in pattern if entry.get("Event", {}).get("EventType") in PLAYED]
+    given = [{str(each.get("ParameterID")) for each in event.get("EventParameters", ())} for event in events]
+    missing = {name: sum(name not in each for each in given) for name in NOT_GIVEN}
+    return tuple(
+        f"{'an intensity' if name == 'HapticIntensity' else 'a sharpness'} of {NOT_GIVEN[name]:g} for {count} of "
+        f"{len(events)} events"
+        for name, count in missing.items()
+        if count
+    )
 
 
 def _points(reading: Reading, curve: dict[str, Any], lowest: float) -> Curve:

@@ -84,7 +84,10 @@ def read_android(path: Path, options: ImportOptions) -> Signal:
     origin = origin_of(json.dumps(metadata) if isinstance(metadata, dict) else None, options)
     envelope = android_envelope(record, origin, path)
     samples = render(envelope, options.rate_hz, options.seed, where=str(path))
-    return Signal(samples, options.rate_hz, options.seed, rendered_facts(origin, path.name))
+    assumed: tuple[str, ...] = ()
+    if not _states_frequency(record):
+        assumed = (f"{envelope.frequency[0]:g} Hz, the middle of the range, since the file gives no frequency",)
+    return Signal(samples, options.rate_hz, options.seed, rendered_facts(origin, path.name, assumed=assumed))
 
 
 def android_envelope(record: dict[str, Any], origin: Origin, path: Path) -> Envelope:
@@ -105,7 +108,11 @@ def android_envelope(record: dict[str, Any], origin: Origin, path: Path) -> Enve
     time = np.stack([start, end], axis=1).ravel()
     amplitude = np.repeat(level[played] / LARGEST * origin.full_scale_m_s2, 2)
     middle = 0.5 * (origin.range_hz[0] + origin.range_hz[1])
-    metadata = record.get("metadata")
-    stated = isinstance(metadata, dict) and "frequency_hz" in metadata
-    hertz = reading.number(metadata, "frequency_hz", *origin.range_hz) if stated else middle
+    stated = _states_frequency(record)
+    hertz = reading.number(record["metadata"], "frequency_hz", *origin.range_hz) if stated else middle
     return Envelope(time, amplitude, np.full(len(time), hertz))
+
+
+def _states_frequency(record: dict[str, Any]) -> bool:
+    metadata = record.get("metadata")
+    return isinstance(metadata, dict) and "frequency_hz" in metadata

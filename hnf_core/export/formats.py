@@ -38,7 +38,8 @@ Reader = Callable[[Path, ImportOptions], Signal]
 class Format:
     """word: as asked for. suffix: of its files, with the dot. what: it is, in a sentence. checked: against what its
     files are validated, and what could not be checked. write, read: see above. scaled: its numbers are shares of a full
-    scale and of a range, and no m/s². surface: it has a place for what the stroke was drawn on."""
+    scale and of a range, and no m/s². surface: it has a place for what the stroke was drawn on. sampled: it holds the
+    waveform; else strength and frequency over time, and a waveform is made up when it is read."""
 
     word: str
     suffix: str
@@ -48,6 +49,7 @@ class Format:
     read: Reader
     scaled: bool = True
     surface: bool = False
+    sampled: bool = True
 
 
 _LOFELT = "the rules of Lofelt's own reader (NiceVibrations, `core/datamodel/src/v1.rs`)"
@@ -70,18 +72,18 @@ FORMATS: dict[str, Format] = {
         ),
         Format(
             "haptic", ".haptic", "Meta Haptics (Lofelt) 1.0.0: strength and frequency over time",
-            f"{_LOFELT}; not played on a device", write_haptic, read_haptic,
+            f"{_LOFELT}; not played on a device", write_haptic, read_haptic, sampled=False,
         ),
         Format(
             "ahap", ".ahap", "Apple Core Haptics: strength and sharpness over time",
             "Apple's documentation of its keys, ranges and the 30 s; the 16 points a curve are Lofelt's converter's; "
             "not loaded by Core Haptics, which runs on Apple's systems alone",
-            write_ahap, read_ahap,
+            write_ahap, read_ahap, sampled=False,
         ),
         Format(
             "android", ".json", "Android waveform: timings and amplitudes of VibrationEffect.createWaveform",
             "the method's documentation; Android has no file format for it; not played on a device",
-            write_android, read_android,
+            write_android, read_android, sampled=False,
         ),
         Format(
             "hjif", ".hjif", "MPEG haptics (ISO/IEC 23090-31): the vibration; given the surface, with its vertices",

@@ -77,7 +77,20 @@ def read_haptic(path: Path, options: ImportOptions) -> Signal:
     origin = origin_of(metadata.get("description") if isinstance(metadata, dict) else None, options)
     envelope = haptic_envelope(record, origin, path)
     samples = render(envelope, options.rate_hz, options.seed, where=str(path))
-    return Signal(samples, options.rate_hz, options.seed, rendered_facts(origin, path.name))
+    facts = rendered_facts(origin, path.name, assumed=_assumed(record, envelope))
+    return Signal(samples, options.rate_hz, options.seed, facts)
+
+
+def _assumed(record: dict[str, Any], envelope: Envelope) -> tuple[str, ...]:
+    """What a sound file leaves open, and was read so."""
+    envelopes = record["signals"]["continuous"]["envelopes"]
+    found, first = [], float(envelopes["amplitude"][0]["time"])
+    if not envelopes.get("frequency"):
+        hertz = envelope.frequency[0]
+        found.append(f"{hertz:g} Hz, the middle of the range, since the file gives no frequency")
+    if first > 0.0:
+        found.append(f"a strength of {envelope.amplitude[0]:g} m/s² before the first point, at {first:g} s")
+    return tuple(found)
 
 
 def haptic_envelope(record: dict[str, Any], origin: Origin, path: Path) -> Envelope:

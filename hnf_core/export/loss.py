@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -99,8 +100,7 @@ def loss_table(loss: Loss) -> str:
     """A few lines for a terminal; of a conversion that is exact, one."""
     before, after = loss.before, loss.after
     if loss.exact:
-        facts = f"{before.duration_s:.4f} s at {before.sample_rate_hz:g} Hz, {before.rms:.3g} m/s² RMS"
-        return _listed(f"Every sample reads back as it was: {facts}, peak {before.peak:.3g} m/s².", loss)
+        return _listed(f"Every sample reads back as it was: {_short(before)}.", loss)
     rows: list[tuple[str, ...]] = [
         ("", "before", "after", "change"),
         ("duration", f"{before.duration_s:.4f} s", f"{after.duration_s:.4f} s",
@@ -115,6 +115,22 @@ def loss_table(loss: Loss) -> str:
     return _listed(_aligned(rows), loss)
 
 
+def rendered_table(loss: Loss) -> str:
+    """In place of loss_table, of a signal whose file holds no samples: there is nothing to compare it with."""
+    head = "Rendered from strength and frequency over time, and its waveform is made up"
+    return _listed(f"{head}: {_short(loss.after)}.", loss)
+
+
+def earlier_loss(loss: Mapping[str, Any], where: str) -> tuple[str, ...]:
+    """Lines on what an export lost, from its Loss.to_json in the file called where."""
+    if loss["exact"]:
+        return (f"Its export, as {where} says, kept every sample.",)
+    before, after = loss["before"], loss["after"]
+    level, peak = (_ratio(float(before[name]), float(after[name])) for name in ("rms", "peak"))
+    changed = f"changed the level by {level} and the peak by {peak}. It " if level and peak else ""
+    return (f"Its export, as {where} says, {changed}left out:", *loss["dropped"])
+
+
 def levels_table(facts: Facts, bands: tuple[Band, ...]) -> str:
     """How strong a signal is, whole and octave by octave (bands: of it, as after): for a terminal."""
     rows: list[tuple[str, ...]] = [
@@ -123,6 +139,11 @@ def levels_table(facts: Facts, bands: tuple[Band, ...]) -> str:
         *((_name(band), _db(level_db(band.after))) for band in _heard(bands)),
     ]
     return _aligned(rows)
+
+
+def _short(facts: Facts) -> str:
+    at = f"{facts.duration_s:.4f} s at {facts.sample_rate_hz:g} Hz"
+    return f"{at}, {facts.rms:.3g} m/s² RMS, peak {facts.peak:.3g} m/s²"
 
 
 def _heard(bands: tuple[Band, ...]) -> list[Band]:

@@ -60,14 +60,18 @@ def origin_of(text: object, options: ImportOptions) -> Origin:
     return replace(mine, full_scale_m_s2=scale, range_hz=(low, high), stated=True, provenance=facts) if sound else mine
 
 
-def rendered_facts(origin: Origin, name: str, ignored: tuple[str, ...] = ()) -> dict[str, str]:
-    """Provenance of what was rendered from the envelopes in the file called name."""
+def rendered_facts(
+    origin: Origin, name: str, ignored: tuple[str, ...] = (), assumed: tuple[str, ...] = ()
+) -> dict[str, str]:
+    """Provenance of what was rendered from the envelopes in the file called name. ignored, assumed: what was not
+    understood in it, and what it leaves open. Those of the file before it, in origin, speak of that file alone."""
     low, high = origin.range_hz
     said = "stated in the file" if origin.stated else "the file states none"
-    facts = {
-        **origin.provenance,
+    named = {"ignored": "; ".join(ignored), "assumed": "; ".join(assumed)}
+    return {
+        **{key: value for key, value in origin.provenance.items() if key not in named},
         "source": name,
         "carrier": CARRIER,
         "scale": f"1 = {origin.full_scale_m_s2:g} m/s², 0 … 1 = {low:g} … {high:g} Hz ({said})",
+        **{key: value for key, value in named.items() if value},
     }
-    return {**facts, "ignored": "; ".join(ignored)} if ignored else facts

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -50,12 +51,31 @@ def write_sidecar(
 def origin_beside(path: Path) -> tuple[int, dict[str, str]] | None:
     """Seed and provenance from the sidecar; None where there is none, or it speaks of other bytes."""
     try:
-        record = read_json(sidecar_of(path))
-        if record["hash"] != content_hash(path.read_bytes()):
-            return None
+        record = _record_of(path)
         return int(record["seed"]), {str(name): str(value) for name, value in record["provenance"].items()}
     except (FileError, OSError, KeyError, TypeError, ValueError, AttributeError):
         return None
+
+
+def loss_beside(path: Path) -> dict[str, Any] | None:
+    """What the export of path lost, as `Loss.to_json` wrote it into the sidecar; None where there is none, or it speaks
+    of other bytes, or is damaged."""
+    try:
+        loss = _record_of(path)["loss"]
+        sound = isinstance(loss["exact"], bool) and all(isinstance(each, str) for each in loss["dropped"])
+        levels = [float(loss[when][what]) for when in ("before", "after") for what in ("rms", "peak")]
+        return dict(loss) if sound and all(0.0 <= each < math.inf for each in levels) else None
+    except (FileError, OSError, KeyError, TypeError, ValueError, OverflowError):
+        return None
+
+
+def _record_of(path: Path) -> dict[str, Any]:
+    """The sidecar, where it speaks of the bytes in path. Raises ValueError where it does not, FileError where there is
+    none, KeyError, OSError."""
+    record = read_json(sidecar_of(path))
+    if record["hash"] != content_hash(path.read_bytes()):
+        raise ValueError("it speaks of other bytes")
+    return record
 
 
 def maker_beside(path: Path) -> Maker | None:
