@@ -34,11 +34,11 @@ def stroke_profile(
     """Height along the path, or None where no touched patch has one or the hand never moves.
 
     position: (n,) m, place along the path of each action sample (may run backward). point: (n, 3) contact points in
-    the surface frame. patch_index: (n,) which patch, −1 off the surface. maps: per patch, None where nothing was
-    measured (flat there). The profile resolves what the coarsest measured map resolves. Raises StrokeError for a path
-    that takes more than MOST_SAMPLES.
+    the surface frame. patch_index: (n,) which patch, −1 off the surface. maps: per patch; where it is None, holds no
+    height or resolves no finite wavelength, nothing was measured (flat there). The profile resolves what the coarsest
+    measured map resolves. Raises StrokeError for a path that takes more than MOST_SAMPLES.
     """
-    measured = [tactile.resolved_wavelength_m for tactile in maps if tactile is not None and tactile.height is not None]
+    measured = [tactile.resolved_wavelength_m for tactile in maps if tactile is not None and _resolves(tactile)]
     touched = np.flatnonzero(patch_index >= 0)
     if not measured or len(touched) < 2:
         return None
@@ -58,12 +58,17 @@ def stroke_profile(
     height = np.zeros(len(grid))
     for index in np.unique(owner[owner >= 0]):
         tactile = maps[index]
-        if tactile is None or tactile.height is None:
+        if tactile is None or not _resolves(tactile):
             continue
         weight = _fade((owner == index).astype(np.float64), OVERLAP_M / step)
         inside = weight > 0.0
         height[inside] += weight[inside] * sample_height(tactile, patches[index].to_plane(points[inside]))
     return HeightProfile(step, float(grid[0]), height, max(measured))
+
+
+def _resolves(tactile: HeightMap) -> bool:
+    """A map whose texels are collapsed (UVs projected from the side) has a height, and an infinite wavelength."""
+    return tactile.height is not None and bool(np.isfinite(tactile.resolved_wavelength_m))
 
 
 def _owner(grid: Float, position: Float, patch_index: NDArray[np.int32]) -> NDArray[np.int32]:

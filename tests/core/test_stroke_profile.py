@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hnf_core.field.stroke_profile import stroke_profile
 from hnf_core.scene.patch import PATCH_SIZE_M, Patch
 from hnf_core.tactile.height import tactile_map_from_height
+from hnf_core.tactile.tactile_map import TactileMap
 
 PIXELS = 256
 MPP = PATCH_SIZE_M / PIXELS
@@ -15,7 +18,7 @@ PITCH = 2.5e-3
 AMPLITUDE = 50e-6
 
 
-def ridge_patch(x_centre: float) -> tuple[Patch, object]:
+def ridge_patch(x_centre: float) -> tuple[Patch, TactileMap]:
     """A patch of the plane z = A sin(2πx / pitch), seen from its own centre."""
     patch = Patch(np.array([x_centre, 0.0, 0.0]), np.array([1.0, 0, 0]), np.array([0, 0, 1.0]), slot=0)
     x = x_centre + (np.arange(PIXELS) + 0.5) * MPP - PATCH_SIZE_M / 2
@@ -79,7 +82,23 @@ def test_unmeasured_stretch_is_flat() -> None:
     assert np.abs(profile.height[places < 10e-3]).max() > 0.5 * AMPLITUDE
 
 
-@pytest.mark.parametrize("case", ["rest", "off", "unmeasured"])
+def test_a_patch_that_resolves_nothing_is_an_unmeasured_one() -> None:
+    """Collapsed UVs give texels of infinite size: one such patch does not cost the stroke the others' relief."""
+    patch, tactile = ridge_patch(6e-3)
+    far = Patch(np.array([19e-3, 0, 0]), patch.x_axis, patch.normal, slot=1)
+    position, point = straight_path(25e-3)
+    owner = (position > 12.5e-3).astype(np.int32)
+    told = stroke_profile(
+        position, point, owner, [patch, far], [tactile, replace(tactile, resolved_wavelength_m=np.inf)]
+    )
+    silent = stroke_profile(position, point, owner, [patch, far], [tactile, None])
+    assert told is not None
+    assert silent is not None
+    assert told.resolved_wavelength_m == silent.resolved_wavelength_m == 2 * MPP
+    np.testing.assert_array_equal(told.height, silent.height)
+
+
+@pytest.mark.parametrize("case", ["rest", "off", "unmeasured", "unresolved"])
 def test_nothing_to_follow_gives_none(case: str) -> None:
     patch, tactile = ridge_patch(0.0)
     position, point = straight_path(12e-3)
@@ -88,5 +107,7 @@ def test_nothing_to_follow_gives_none(case: str) -> None:
         position, point = np.zeros_like(position), np.zeros_like(point)
     if case == "off":
         owner -= 1
+    if case == "unresolved":
+        tactile = replace(tactile, resolved_wavelength_m=np.inf)
     maps = [None if case == "unmeasured" else tactile]
     assert stroke_profile(position, point, owner, [patch], maps) is None
