@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,9 @@ from ..bridge.look import Look
 
 STORE_VERSION = 4
 PREDICTION_VERSION = 1
+
+RECENT = 8
+"""Patches kept in memory, some 2 MB each, 6 with a picture: more than a stroke of 10 cm crosses."""
 
 
 @dataclass(frozen=True)
@@ -77,29 +81,45 @@ class PatchRecord:
 
 
 def load_patch(folder: Path, key: str) -> PatchRecord | None:
-    """The record stored under key, or None. A damaged file counts as absent: it is baked anew."""
+    """The record stored under key, its arrays for reading only, or None. A damaged file counts as absent: it is baked
+    anew."""
+    path = folder / f"{key}.npz"
     try:
-        with np.load(folder / f"{key}.npz", allow_pickle=False) as data:
-            if int(data["version"]) != STORE_VERSION:
-                return None
-            measured = bool(data["measured"])
-            return PatchRecord(
-                height=data["height"] if measured else None,
-                mask=data["mask"],
-                metres_per_pixel=float(data["metres_per_pixel"]),
-                resolved_wavelength_m=float(data["resolved_wavelength_m"]),
-                height_source=str(data["height_source"]),
-                height_peak_to_peak_m=float(data["height_peak_to_peak_m"]),
-                token=data["token"] if measured else None,
-                known=data["known"] if measured else None,
-                appearance=_appearance_from(data["appearance"]),
-                faces=data["faces"],
-                notes=tuple(str(note) for note in data["notes"]),
-                look=_look_from(data) if bool(data["pictured"]) else None,
-                encoder=str(data["encoder"]),
-            )
+        stat = path.stat()
+        return _read_patch(path, stat.st_mtime_ns, stat.st_size)
     except DAMAGED:
         return None
+
+
+@lru_cache(maxsize=RECENT)
+def _read_patch(path: Path, _written_ns: int, _bytes: int) -> PatchRecord | None:
+    """Raises what DAMAGED names. The last ones stay in memory as long as their files are what they were: strokes of a
+    scene often cross the same place, and unpacking takes longer than all else that a stroke over it costs."""
+    with np.load(path, allow_pickle=False) as data:
+        if int(data["version"]) != STORE_VERSION:
+            return None
+        measured = bool(data["measured"])
+        return PatchRecord(
+            height=_fixed(data["height"]) if measured else None,
+            mask=_fixed(data["mask"]),
+            metres_per_pixel=float(data["metres_per_pixel"]),
+            resolved_wavelength_m=float(data["resolved_wavelength_m"]),
+            height_source=str(data["height_source"]),
+            height_peak_to_peak_m=float(data["height_peak_to_peak_m"]),
+            token=_fixed(data["token"]) if measured else None,
+            known=_fixed(data["known"]) if measured else None,
+            appearance=_appearance_from(data["appearance"]),
+            faces=_fixed(data["faces"]),
+            notes=tuple(str(note) for note in data["notes"]),
+            look=_look_from(data) if bool(data["pictured"]) else None,
+            encoder=str(data["encoder"]),
+        )
+
+
+def _fixed(array: NDArray[Any]) -> NDArray[Any]:
+    """Made read-only: several records may hold it."""
+    array.setflags(write=False)
+    return array
 
 
 def save_patch(folder: Path, key: str, record: PatchRecord) -> None:
@@ -170,7 +190,7 @@ def _save(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def _look_from(data: Mapping[str, NDArray[Any]]) -> Look:
-    return Look(data["rgb"], data["depth"], float(data["look_resolved"]), str(data["look_source"]))
+    return Look(_fixed(data["rgb"]), _fixed(data["depth"]), float(data["look_resolved"]), str(data["look_source"]))
 
 
 def _appearance_row(appearance: Appearance) -> NDArray[np.float64]:

@@ -89,12 +89,15 @@ def split_profile(profile: HeightProfile, carriers: Carriers) -> ProfileBands:
         origin = -(-first // factor)
         shift = np.exp(2j * np.pi * kappa * (origin * factor - first) * step)[: coarse // 2 + 1]
         shifted = spectrum[: coarse // 2 + 1] * shift
-        owner = np.searchsorted(band_edges, kappa[: coarse // 2 + 1], side="right") - 1
+        borders = np.searchsorted(kappa[: coarse // 2 + 1], band_edges)
         count = len(height) // factor
         wave = np.empty((ARC_PER_OCTAVE, count), dtype=np.float32)
-        total, level = np.zeros(count), np.empty(ARC_PER_OCTAVE)
+        total, level, alone = np.zeros(count), np.empty(ARC_PER_OCTAVE), np.zeros_like(shifted)
         for band in range(ARC_PER_OCTAVE):  # one by one: all at once take a gigabyte for a minute of stroke
-            one = np.fft.irfft(np.where(owner == band, shifted, 0.0) / factor, coarse)[:count]
+            bins = slice(borders[band], borders[band + 1])
+            alone[bins] = shifted[bins] / factor
+            one = np.fft.irfft(alone, coarse)[:count]
+            alone[bins] = 0.0
             wave[band] = one
             total += one
             level[band] = np.mean(np.square(one)) if count else 0.0
@@ -155,10 +158,14 @@ def share_power(amplitude: Float, bands: ProfileBands, condition: Condition, car
     left = 1.0 - np.divide(taken, total, out=np.zeros_like(total), where=total > 0.0)
     time_left = np.ones_like(time_amplitude)
     if carriers.time_count:
-        for band in range(carriers.time_count):
-            weight = np.where(inside & (owner == band), np.diff(edges)[None, :] * speed[:, None], 0.0)
-            covered = weight.sum(axis=1)
-            width = np.diff(time_edges)[band]
-            taken_share = (weight * (1.0 - left)).sum(axis=1) / np.maximum(covered, width)
-            time_left[:, band] = 1.0 - taken_share
+        width_hz = np.where(inside, np.diff(edges) * speed[:, None], 0.0)
+        cell = rows * carriers.time_count + np.clip(owner, 0, carriers.time_count - 1)
+
+        def over_time_bands(values: Float) -> Float:
+            """(n, Ka) summed into the time carrier that each arc carrier's tone falls on, (n, Kt)."""
+            summed = np.bincount(cell.ravel(), weights=values.ravel(), minlength=time_left.size)
+            return np.asarray(summed, dtype=np.float64).reshape(time_left.shape)
+
+        covered = np.maximum(over_time_bands(width_hz), np.diff(time_edges))
+        time_left = 1.0 - over_time_bands(width_hz * (1.0 - left)) / covered
     return Shares(np.where(present, np.sqrt(gain2), 1.0), np.sqrt(left), np.sqrt(time_left))

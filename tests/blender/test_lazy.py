@@ -6,6 +6,7 @@ docs/benchmarks.md lists every rule and where its test is.
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 
 import bpy
 import numpy as np
@@ -18,7 +19,7 @@ from hnf_blender.bridge import boxes, closeup
 from hnf_blender.bridge.meshes import evaluated_mesh
 from hnf_blender.bridge.nearest_surface import nearest_surface
 from hnf_blender.bridge.storage import read_tokens
-from hnf_blender.touch import bake, jobs, tokens
+from hnf_blender.touch import bake, jobs, store, tokens
 
 tokens_of = tokens.store_tokens
 SHORT_M = 0.01
@@ -189,3 +190,33 @@ def test_no_map_is_held_once_its_stroke_is_felt(tmp_path, monkeypatch) -> None:
     assert (record.height, record.look, record.predicted, record.mask.size) == (None, None, None, 0)
     assert record.encoder
     assert read_tokens(plate.data).index.tolist() == [0]
+
+
+def test_a_place_that_many_strokes_cross_is_unpacked_once(tmp_path, monkeypatch) -> None:
+    """Its own stroke has it in memory; the second one reads the file, and those after it find what that one read."""
+    plate, unpacked = ridge_plate(), []
+    for number in range(4):
+        line_stroke(f"Stroke {number}", length=SHORT_M, surface=plate)
+    np_load = store.np.load
+    monkeypatch.setattr(store.np, "load", lambda path, **words: (unpacked.append(path), np_load(path, **words))[1])
+    bake_open_file(tmp_path)
+    assert len(unpacked) == 1
+
+
+def test_a_patch_in_memory_is_left_once_its_file_changes(tmp_path, monkeypatch) -> None:
+    saved = []
+    monkeypatch.setattr(bake, "save_patch", lambda folder, key, record: saved.append(record))
+    line_stroke("Along", length=SHORT_M, surface=ridge_plate())
+    bake_open_file(tmp_path)
+    store.save_patch(tmp_path, "place", saved[0])
+    kept = store.load_patch(tmp_path, "place")
+    assert kept is store.load_patch(tmp_path, "place")
+    with pytest.raises(ValueError, match="read-only"):
+        kept.height[0] = 0.0
+    store.save_patch(tmp_path, "place", replace(saved[0], height=saved[0].height + 1e-6))
+    np.testing.assert_array_equal(store.load_patch(tmp_path, "place").height, saved[0].height + 1e-6)
+    path = tmp_path / "place.npz"
+    path.write_bytes(path.read_bytes()[:-100])
+    assert store.load_patch(tmp_path, "place") is None
+    path.unlink()
+    assert store.load_patch(tmp_path, "place") is None
