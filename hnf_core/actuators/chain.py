@@ -50,6 +50,11 @@ class Chain:
         self._owed = 0.0
 
     @property
+    def channels(self) -> int:
+        """Of the device."""
+        return self._device.channels
+
+    @property
     def resampler(self) -> str:
         return self._resampler.name
 

@@ -14,7 +14,7 @@ import os
 import threading
 import time
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from types import TracebackType
@@ -71,6 +71,7 @@ class Stream:
         self._block_s, self._ahead, self._prompt = block_s, ahead_blocks, prompt
         self._opened: Future[SinkFormat] = Future()
         self._threads: list[threading.Thread] = []
+        self._go = threading.Event()
         self._stopping = threading.Event()
         self._ended = threading.Event()
         self._paused = False
@@ -94,9 +95,11 @@ class Stream:
     ) -> None:
         self.stop()
 
-    def start(self) -> SinkFormat:
-        """Open the sink and play. Raises DeviceError where it cannot be opened, UsageError where signal, limits and
-        device do not fit or the stream was started before."""
+    def start(self, look: Callable[[SinkFormat], None] = lambda device: None) -> SinkFormat:
+        """Open the sink and play. look: called when it is open, before anything leaves; what it raises stops.
+
+        Raises DeviceError where it cannot be opened, UsageError where signal, limits and device do not fit or the
+        stream was started before."""
         with self._lock:
             if self._threads or self._stopping.is_set():
                 raise UsageError("a stream plays once.", remedy="Make another one.")
@@ -104,16 +107,24 @@ class Stream:
         _live.add(self)
         self._threads[0].start()
         try:
-            return self._opened.result(_OPEN_S)
+            device = self._opened.result(_OPEN_S)
         except TimeoutError as error:
             self.stop()
             raise DeviceError(
                 f"the device did not open within {_OPEN_S:g} s.", remedy="Unplug it, plug it in, and try again."
             ) from error
+        try:
+            look(device)
+        except BaseException:
+            self.stop()
+            raise
+        self._go.set()
+        return device
 
     def stop(self) -> None:
         """Silence now, by the device's own soft stop, and give the device back. From any thread; again is harmless."""
         self._stopping.set()
+        self._go.set()
         if self._ring is not None:
             self._ring.close()
         with self._lock:
@@ -222,8 +233,9 @@ class Stream:
                     target=self._produce, args=(chain, ring, frames), name="hnf-producer", daemon=True
                 )
                 self._threads.append(producer)
-            producer.start()
             self._opened.set_result(device)
+            self._go.wait()
+            producer.start()
             self._send(ring, device, frames)
         except Exception as error:
             if self._opened.done():

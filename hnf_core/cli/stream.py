@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import signal
 import sys
 import threading
@@ -18,18 +17,22 @@ import numpy as np
 
 from ..actuators.acceleration import Acceleration, factor, read_accelerations
 from ..actuators.at_most import at_most
+from ..actuators.chain import Chain
 from ..actuators.compensation import stages_of
+from ..actuators.foretold import foretell
+from ..actuators.limits import Limits
 from ..actuators.profile import GENERIC, ActuatorProfile
 from ..actuators.profile_file import profile_at
 from ..actuators.report import StreamReport
 from ..actuators.sink import SinkFormat
-from ..actuators.source import Samples, Source
+from ..actuators.source import Source
 from ..actuators.sources.limited import Limited
 from ..actuators.sources.recorded import Recorded
 from ..actuators.stream import Stream
 from ..actuators.targets import FORMS, FileTarget, Target, parse_target, sink_of
 from ..errors import DeviceError, UsageError
 from .level_meter import LevelMeter
+from .stream_warning import checked_s, warning_of
 from .verbs import HELP
 
 AHEAD_BLOCKS = 3
@@ -70,19 +73,21 @@ def run(arguments: argparse.Namespace) -> int:
     profile = profile_at(arguments.profile)
     limits = profile.limits
     found = read_accelerations(arguments.wav, limits)
-    samples = found.samples * np.float32(gain)
-    source, whole_s = _source(samples, found.rate_hz, arguments.loop, arguments.seconds)
+    source, whole_s = _source(found, gain, arguments.loop, arguments.seconds)
     sink = sink_of(target, found.rate_hz, limits, source.channels)
     # Nobody touches a recording: the resampler may take its time.
     stages = () if arguments.raw else stages_of(profile, found.rate_hz, source.channels)
     block_s = arguments.block / 1e3
     stream = Stream(source, sink, limits, block_s=block_s, ahead_blocks=AHEAD_BLOCKS, stages=stages, prompt=False)
+
+    def look(device: SinkFormat) -> None:
+        if not arguments.json:
+            print(_announcement(arguments, found, profile, device), flush=True)
+        _warn(arguments, found, profile, device)
+
     with _terminating_as_ctrl_c():
         try:
-            device = stream.start()
-            if not arguments.json:
-                print(_announcement(arguments, found, profile, device), flush=True)
-            _warn(samples, profile, arguments.gain)
+            device = stream.start(look)
             within = limits.within(device.peak)
             _watch(stream, LevelMeter(within.peak * within.full_scale_m_s2, whole_s))
         except KeyboardInterrupt:
@@ -103,12 +108,12 @@ def _check(arguments: argparse.Namespace, target: Target) -> None:
         raise UsageError("--loop into a file never ends.", remedy="Say how long: --seconds 10.")
 
 
-def _source(samples: Samples, rate_hz: float, loop: bool, seconds: float | None) -> tuple[Source, float | None]:
+def _source(found: Acceleration, gain: float, loop: bool, seconds: float | None) -> tuple[Source, float | None]:
     """And how long it plays, None = for ever."""
-    recorded, whole_s = Recorded(samples, rate_hz, loop=loop), len(samples) / rate_hz
+    recorded, whole_s = Recorded(found.samples * np.float32(gain), found.rate_hz, loop=loop), found.duration_s
     if seconds is None:
         return recorded, None if loop else whole_s
-    return Limited(recorded, round(seconds * rate_hz)), seconds if loop else min(seconds, whole_s)
+    return Limited(recorded, round(seconds * found.rate_hz)), seconds if loop else min(seconds, whole_s)
 
 
 def _announcement(
@@ -130,18 +135,20 @@ def _names(arguments: argparse.Namespace) -> str:
     return ", ".join(map(str, arguments.wav))
 
 
-def _warn(samples: Samples, profile: ActuatorProfile, gain_db: float) -> None:
+def _warn(arguments: argparse.Namespace, found: Acceleration, profile: ActuatorProfile, device: SinkFormat) -> None:
     """Beforehand, so that nobody wonders; the limiter counts what it really changed."""
-    most = profile.limits.peak * profile.limits.full_scale_m_s2
-    largest = float(np.abs(samples).max(initial=0.0))
-    if largest > most:
-        share = float(np.count_nonzero(np.abs(samples) > most)) / samples.size
-        fits = math.floor(10.0 * (gain_db - 20.0 * math.log10(largest / most))) / 10.0
-        print(
-            f"hnf: {largest:.3g} m/s² is more than the {most:.4g} m/s² of '{profile.title}': {share:.2%} of the "
-            f"samples are limited. --gain {fits:.1f} fits.",
-            file=sys.stderr,
-        )
+    limits, loop = profile.limits, arguments.loop
+    seconds = checked_s(found.duration_s, arguments.seconds, loop=loop, thermal_s=limits.thermal_s)
+
+    def chained(limits: Limits, gain_db: float) -> Chain:
+        source, _ = _source(found, factor(gain_db), loop, seconds)
+        stages = () if arguments.raw else stages_of(profile, found.rate_hz, source.channels)
+        return Chain(source, device, limits, stages, prompt=False)
+
+    foretold = foretell(chained, limits, arguments.gain)
+    if foretold is not None:
+        largest = found.peak_m_s2 * factor(arguments.gain)
+        print(f"hnf: {warning_of(foretold, profile, device, largest)}", file=sys.stderr)
 
 
 def _watch(stream: Stream, meter: LevelMeter) -> None:

@@ -386,6 +386,33 @@ def test_a_stream_of_nothing_ahead_is_refused() -> None:
             Stream(Recorded(noise(0.1), 10000.0), ClockSink(), LIMITS, **words)  # type: ignore[arg-type]
 
 
+def test_nothing_leaves_before_who_starts_it_has_had_a_look_at_the_device() -> None:
+    """Whoever computes something first does not make the device wait for samples: that would be underruns."""
+    sink = ClockSink()
+    seen = []
+
+    def look(device: SinkFormat) -> None:
+        time.sleep(0.05)
+        seen.append((device, len(sink.counts), sink.status().underruns))
+
+    with Stream(Recorded(noise(0.1), 10000.0), sink, LIMITS) as stream:
+        stream.start(look)
+        assert stream.wait(60.0)
+    assert seen == [(sink.format, 0, 0)]
+    assert np.array_equal(sink.counts, counts_of(Recorded(noise(0.1), 10000.0), sink.format, LIMITS))
+
+    def fail(device: SinkFormat) -> None:
+        raise KeyboardInterrupt
+
+    sink = ClockSink()
+    stream = Stream(Recorded(noise(0.1), 10000.0), sink, LIMITS)
+    with pytest.raises(KeyboardInterrupt):
+        stream.start(fail)
+    assert stream.wait(60.0), "it is given back"
+    assert len(sink.counts) == 0
+    assert at_rest()
+
+
 def test_a_source_prepares_its_next_block_when_the_last_one_is_on_its_way() -> None:
     source = Ahead(4)
     with Stream(source, ClockSink(), LIMITS) as stream:

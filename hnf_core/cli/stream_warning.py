@@ -1,0 +1,40 @@
+"""What is said before a signal plays that is too strong for an actuator."""
+
+from __future__ import annotations
+
+from ..actuators.foretold import Foretold
+from ..actuators.profile import ActuatorProfile
+from ..actuators.sink import SinkFormat
+
+CHECKED_S = 600.0
+"""So much of a long signal is looked at beforehand."""
+WARM = 6.0
+"""Time constants after which a coil is as warm as it gets."""
+
+
+def checked_s(whole_s: float, seconds: float | None, *, loop: bool, thermal_s: float) -> float:
+    """How much of what plays is looked at: of a loop as much as warms the coil."""
+    plays_s = whole_s + WARM * thermal_s if loop else whole_s
+    return min(plays_s if seconds is None else seconds if loop else min(seconds, whole_s), CHECKED_S)
+
+
+def warning_of(found: Foretold, profile: ActuatorProfile, device: SinkFormat, largest_m_s2: float) -> str:
+    """One line. largest_m_s2: of the signal, its gain included."""
+    limits = profile.limits.within(device.peak)
+    most = limits.peak * limits.full_scale_m_s2
+    reasons = []
+    if found.peak and largest_m_s2 > most:
+        reasons.append(f"{largest_m_s2:.3g} m/s² is more than the {most:.4g} m/s² of '{profile.title}'")
+    elif found.peak and profile.response is not None:
+        reasons.append(f"with the response of '{profile.title}' made up for, it is more than its {most:.4g} m/s²")
+    elif found.peak:
+        reasons.append(f"between its samples it is more than the {most:.4g} m/s² of '{profile.title}'")
+    if found.slew:
+        reasons.append(f"it changes faster than '{profile.title}' may follow")
+    if found.heat:
+        reasons.append(f"it warms the coil of '{profile.title}' beyond what it carries for long")
+    share = f"{found.share:.2%}" if found.share >= 5e-5 else "less than 0.01%"
+    fits = "No --gain makes it fit: check the file's unit."
+    if found.fits_db is not None:
+        fits = f"--gain {found.fits_db:.1f} fits."
+    return f"{', and '.join(reasons)}: {share} of the samples are limited. {fits}"
