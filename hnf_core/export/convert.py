@@ -10,8 +10,10 @@ from ..errors import FileError
 from ..field.resampling import FASTEST_HZ
 from ..signal import Signal
 from .formats import Format, format_of_file
+from .hjif import has_way
 from .loss import Loss, loss_between, loss_table
 from .options import ExportOptions, ImportOptions
+from .places import check_places
 from .samples import rendered_rate
 from .shares import CLIPPED
 from .sidecar import write_sidecar
@@ -41,7 +43,7 @@ class Exported:
         return {
             "file": str(self.path),
             "format": self.form.word,
-            "full_scale_m_s2": self.options.full_scale_m_s2 if scaled else None,
+            "full_scale_m_s2": self.options.full_scale_m_s2 if self.form.states_scale else None,
             "range_hz": list(self.options.range_hz) if scaled else None,
             "checked": self.form.checked,
             "dropped": list(self.dropped),
@@ -50,24 +52,26 @@ class Exported:
 
     def report(self) -> str:
         """For people, several lines."""
-        scale = f"1 = {self.options.full_scale_m_s2:g} m/s²" if self.form.scaled else "in m/s²"
+        scale = f"1 = {self.options.full_scale_m_s2:g} m/s²" if self.form.states_scale else "in m/s²"
         return f"{self.path}: {self.form.what}; {scale}\n{loss_table(self.loss)}"
 
 
 def export_signal(signal: Signal, form: Format, path: Path, options: ExportOptions, blend: str = "") -> Exported:
     """Write signal to path, atomically, and what its numbers stand for to path.json, with the name of the .blend it
     comes from; then read the file again and measure what is missing. Envelopes are rendered with the signal's seed, at
-    its rate or one that holds the range. Raises FileError for a rate that is none, FileError and UsageError of the
-    format."""
+    its rate or one that holds the range. Raises FileError for a rate that is none or where something else is in the
+    place of what would be written, FileError and UsageError of the format."""
     if not 0.0 < signal.sample_rate <= FASTEST_HZ:
         raise FileError(
             f"a signal of {signal.sample_rate:g} Hz is none, so nothing was written.", where=str(path),
             remedy="Synthesise at e.g. 10000 Hz.",
         )  # fmt: skip
+    options = form.fitted(signal, options)
+    check_places(path, mesh=form.word == "hjif" and has_way(options.surface))
     dropped = form.write(path, signal, options)
     told = ImportOptions(rate_hz=rendered_rate(signal, options.range_hz), seed=signal.seed)
     loss = loss_between(signal, form.read(path, told), dropped)
-    write_sidecar(path, form.word, signal, options if form.scaled else None, loss.to_json(), blend)
+    write_sidecar(path, form.word, signal, options if form.states_scale else None, loss.to_json(), blend)
     return Exported(path, form, options, loss)
 
 

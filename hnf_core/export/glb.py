@@ -26,6 +26,8 @@ from .surface import TouchedSurface
 from .wav import wav_bytes, wav_signal
 
 LARGEST_READ = 512 * 2**20
+GENERATOR = "Haptic Neural Fields"
+"""How what a file says of its maker begins."""
 _TRIANGLES = 4
 
 
@@ -88,7 +90,7 @@ def _tree(surface: TouchedSurface, table: VertexTable, buffer: Buffer) -> dict[s
     tree: dict[str, Any] = {
         "asset": {
             "version": "2.0",
-            "generator": f"Haptic Neural Fields {__version__}",
+            "generator": f"{GENERATOR} {__version__}",
             "extras": {"hnf": {"units": {"_HNF_ROUGHNESS": "m", "position": "m"}}},
         },
         "scene": 0,

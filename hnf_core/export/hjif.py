@@ -38,7 +38,7 @@ from .gltf_mesh import vertex_table, vertices_under
 from .json_files import write_json
 from .options import ExportOptions
 from .samples import finite_samples
-from .surface import StrokePath
+from .surface import StrokePath, TouchedSurface
 from .wav import UNITS
 
 VERSION, PROFILE, LEVEL = "2025", "Main", 1
@@ -66,15 +66,25 @@ class Texture:
     mesh: str
 
 
+def mesh_beside(path: Path) -> Path:
+    """The GLB that a texture in path counts its vertices in."""
+    return path.with_name(f"{path.name}.glb")
+
+
+def has_way(surface: TouchedSurface | None) -> bool:
+    """Whether a stroke lies on it as a texture, so that its mesh is written too."""
+    return surface is not None and surface.path is not None and surface.path.mean_speed_m_s > 0.0
+
+
 def write_hjif(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
     """Write signal as .hjif, and beside it the surface as .hjif.glb, where options name one and the way on it is known.
 
     Returns what was left out. Raises FileError where the signal is not finite or longer than the format holds.
     """
     surface, texture = options.surface, None
-    mesh, beside = path.with_name(f"{path.name}.glb"), b""
+    mesh, beside = mesh_beside(path), b""
     left_out: list[str] = []
-    if surface is not None and surface.path is not None and surface.path.mean_speed_m_s > 0.0:
+    if surface is not None and surface.path is not None and has_way(surface):
         table = vertex_table(surface)
         vertices = vertices_under(surface, table)
         texture = texture_of(signal, surface.path, vertices[:MOST_VERTICES], mesh.name, str(path))

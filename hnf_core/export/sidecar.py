@@ -21,6 +21,15 @@ def sidecar_of(path: Path) -> Path:
     return path.with_name(path.name + ".json")
 
 
+def is_sidecar(path: Path) -> bool:
+    """Whether path is one, of whichever file."""
+    try:
+        record = read_json(path)
+    except FileError:
+        return False
+    return "schema" in record and all(isinstance(record.get(name), str) for name in ("file", "hash"))
+
+
 @dataclass(frozen=True)
 class Maker:
     """What an exported file was made of: a stroke, and the .blend it is in; "" where that is not told."""
