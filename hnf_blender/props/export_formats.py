@@ -21,6 +21,8 @@ FORMAT_CHOICES = (
     FormatChoice("wav8k", "WAV 8 kHz", "16 bit, for an actuator; 1 is the actuator's largest acceleration", stem="-8k"),
     FormatChoice("wav48k", "WAV 48 kHz", "16 bit, for a sound card and an amplifier; 1 is the largest acceleration",
                  stem="-48k"),
+    FormatChoice("listen", "WAV to Listen to", "48 kHz, 16 bit, as loud as it goes without clipping: for ears, not for "
+                 "an actuator", scaled=False, stem="-listen"),
     FormatChoice("haptic", ".haptic (Meta)", "Strength and frequency over time, for Meta Haptics; no waveform"),
     FormatChoice("ahap", ".ahap (Apple)", "Strength and sharpness over time, for iPhones; no waveform"),
     FormatChoice("android", "Android Waveform", "Strength over time, for VibrationEffect.createWaveform; no waveform",

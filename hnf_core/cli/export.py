@@ -98,6 +98,11 @@ def run(arguments: argparse.Namespace, read_scene: SceneReader = no_scene) -> in
     if arguments.object is not None and arguments.scene is None:
         raise UsageError("--object without --scene.", remedy="Name the baked scene too: --scene BAKED.blend")
     full_scale, range_hz = scale_of(arguments)
+    if form.fit is not None and full_scale is not None:
+        raise UsageError(
+            f"the format '{form.word}' finds its full scale in the signal: --full-scale and --profile have no place.",
+            remedy="Leave them out, or take --format wav48k.",
+        )
     options = ExportOptions(FULL_SCALE_M_S2 if full_scale is None else full_scale, range_hz or RANGE_HZ)
     signal = read_own_wav(arguments.file)
     if arguments.scene is not None:

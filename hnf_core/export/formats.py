@@ -26,12 +26,15 @@ from .glb import read_glb, write_glb
 from .haptic import read_haptic, write_haptic
 from .hjif import write_hjif
 from .hjif_read import read_hjif
+from .listen import WORD as LISTEN
+from .listen import loud_options, write_listen
 from .options import ExportOptions, ImportOptions
 from .table import read_csv, read_npz, write_csv, write_npz
 from .wav_copies import copy_writer, read_any_wav, write_native
 
 Writer = Callable[[Path, Signal, ExportOptions], tuple[str, ...]]
 Reader = Callable[[Path, ImportOptions], Signal]
+Fit = Callable[[Signal, ExportOptions], ExportOptions]
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,8 @@ class Format:
     """word: as asked for. suffix: of its files, with the dot. what: it is, in a sentence. checked: against what its
     files are validated, and what could not be checked. write, read: see above. scaled: its numbers are shares of a full
     scale and of a range, and no m/s². surface: it has a place for what the stroke was drawn on. sampled: it holds the
-    waveform; else strength and frequency over time, and a waveform is made up when it is read."""
+    waveform; else strength and frequency over time, and a waveform is made up when it is read. fit: what finds the full
+    scale in the signal itself, None = it is as told."""
 
     word: str
     suffix: str
@@ -50,6 +54,16 @@ class Format:
     scaled: bool = True
     surface: bool = False
     sampled: bool = True
+    fit: Fit | None = None
+
+    def fitted(self, signal: Signal, options: ExportOptions) -> ExportOptions:
+        """The options that a file of signal is written with."""
+        return options if self.fit is None else self.fit(signal, options)
+
+    @property
+    def states_scale(self) -> bool:
+        """Does 1 stand for a full scale in its files?"""
+        return self.scaled or self.fit is not None
 
 
 _LOFELT = "the rules of Lofelt's own reader (NiceVibrations, `core/datamodel/src/v1.rs`)"
@@ -69,6 +83,10 @@ FORMATS: dict[str, Format] = {
         Format(
             "wav48k", ".wav", "WAV for a sound card: 48 kHz, 16 bit, full scale as told",
             "as wav", copy_writer(48000), read_any_wav,
+        ),
+        Format(
+            LISTEN, ".wav", "WAV to listen to, for no actuator: 48 kHz, 16 bit, as loud as it goes without clipping",
+            "as wav", write_listen, read_any_wav, scaled=False, fit=loud_options,
         ),
         Format(
             "haptic", ".haptic", "Meta Haptics (Lofelt) 1.0.0: strength and frequency over time",

@@ -1,0 +1,43 @@
+"""A copy for ears: as loud as a player goes without clipping, by one gain that the file states.
+
+A signal in m/s² leaves the −1 … 1 that players take for full scale, and they cut it off hard. Such a copy is for no
+actuator: how strong a touch is shows in its gain alone, and two copies are not to be compared by their loudness.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..field.resampling import resample
+from ..signal import Signal
+from .options import LARGEST_SCALE, SMALLEST_SCALE, ExportOptions
+from .samples import finite_samples
+from .wav_copies import write_copy
+
+WORD = "listen"
+RATE_HZ = 48_000.0
+PEAK_DBFS = -1.0
+"""What converters and players need to spare."""
+
+
+def loud_options(signal: Signal, options: ExportOptions) -> ExportOptions:
+    """options with the full scale, m/s², that brings the signal's peak to PEAK_DBFS; as they are for silence.
+
+    Raises FileError where a sample is not finite.
+    """
+    samples = finite_samples(signal, WORD).astype(np.float64)
+    loudest = float(np.abs(resample(samples, signal.sample_rate, RATE_HZ)[0]).max(initial=0.0))
+    if loudest == 0.0:
+        return options
+    full_scale = loudest * 10.0 ** (-PEAK_DBFS / 20.0)
+    return replace(options, full_scale_m_s2=min(max(full_scale, SMALLEST_SCALE), LARGEST_SCALE))
+
+
+def write_listen(path: Path, signal: Signal, options: ExportOptions) -> tuple[str, ...]:
+    """Write the copy, 48 kHz and 16 bit; what was lost, in words. Raises FileError as write_copy does."""
+    own = loud_options(signal, options)
+    gain = f"One gain for the whole file: 1 stands for {own.full_scale_m_s2:.3g} m/s². For ears, not for an actuator."
+    return (gain, *write_copy(path, signal, RATE_HZ, own))
