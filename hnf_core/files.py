@@ -27,9 +27,11 @@ FILE_MODE, FOLDER_MODE = 0o666 & ~_UMASK, 0o777 & ~_UMASK
 def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
     """Call write(temporary) and rename the result onto path, whose mode stays; on any failure path stays as it was.
 
-    Raises FileError when the folder or the disk refuses.
+    Raises FileError when the folder or the disk refuses, or path is a folder.
     """
-    if path.exists() and not (path.is_file() or path.is_dir()):
+    if path.is_dir():
+        raise FileError("is a folder, and no file.", where=str(path), remedy=elsewhere(path))
+    if path.exists() and not path.is_file():
         _write_into_device(path, write)
         return
     handle = None
@@ -56,6 +58,11 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
         ) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def elsewhere(path: Path) -> str:
+    """What to do where something else is in path's place."""
+    return f"Give another name, or move {path.name} away."
 
 
 def _write_into_device(path: Path, write: Callable[[Path], None]) -> None:

@@ -16,7 +16,7 @@ from .options import ExportOptions, ImportOptions
 from .places import check_places
 from .samples import rendered_rate
 from .shares import CLIPPED
-from .sidecar import write_sidecar
+from .sidecar import sidecar_of, write_sidecar
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,14 @@ def export_signal(signal: Signal, form: Format, path: Path, options: ExportOptio
     dropped = form.write(path, signal, options)
     told = ImportOptions(rate_hz=rendered_rate(signal, options.range_hz), seed=signal.seed)
     loss = loss_between(signal, form.read(path, told), dropped)
-    write_sidecar(path, form.word, signal, options if form.states_scale else None, loss.to_json(), blend)
+    # The note holds the file's hash and what it lost, so that it comes second.
+    try:
+        write_sidecar(path, form.word, signal, options if form.states_scale else None, loss.to_json(), blend)
+    except FileError as error:
+        raise FileError(
+            f"the file is written, and its note is not: {sidecar_of(path).name} {error.what}", where=str(path),
+            remedy="Free some disk space or give a shorter name, and export again.",
+        ) from error  # fmt: skip
     return Exported(path, form, options, loss)
 
 

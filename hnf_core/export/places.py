@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 from ..errors import FileError
+from ..files import elsewhere
 from .glb import GENERATOR, LARGEST_READ
 from .gltf_file import glb_parts
 from .hjif import mesh_beside
@@ -21,7 +22,7 @@ def check_places(path: Path, *, mesh: bool) -> None:
     note = sidecar_of(path)
     for each in (path, note, *((mesh_beside(path),) if mesh else ())):
         if each.is_dir():
-            raise FileError("is a folder, and no file.", where=str(each), remedy=_elsewhere(each))
+            raise FileError("is a folder, and no file.", where=str(each), remedy=elsewhere(each))
     if is_sidecar(path):
         raise _taken(path, f"it is the note of {path.name.removesuffix('.json')}, and says what its numbers stand for.")
     if os.path.lexists(note) and not is_sidecar(note):
@@ -45,8 +46,4 @@ def _is_mesh(path: Path) -> bool:
 
 
 def _taken(path: Path, why: str) -> FileError:
-    return FileError(why, where=str(path), remedy=_elsewhere(path))
-
-
-def _elsewhere(path: Path) -> str:
-    return f"Give another name, or move {path.name} away."
+    return FileError(why, where=str(path), remedy=elsewhere(path))

@@ -60,6 +60,24 @@ def test_a_folder_in_the_place_of_the_note_or_the_file_is_named(tmp_path: Path, 
     refused(f"{path.name}: is a folder", path, word)
 
 
+def test_a_file_whose_note_fails_is_said_to_be_written(tmp_path: Path) -> None:
+    """A name that a file system still takes, and no longer with the note's ending."""
+    path = tmp_path / f"{'x' * 236}.haptic"
+    with pytest.raises(FileError, match="the file is written, and its note is not") as caught:
+        export_signal(tone(), FORMATS["haptic"], path, OPTIONS)
+    assert caught.value.where == str(path)
+    assert "unharmed" not in str(caught.value)
+    assert os.listdir(tmp_path) == [path.name]
+
+
+def test_a_folder_is_not_called_a_full_disk(tmp_path: Path) -> None:
+    (tmp_path / "x.wav").mkdir()
+    with pytest.raises(FileError, match="is a folder") as caught:
+        write_wav(tmp_path / "x.wav", tone())
+    assert "disk" not in str(caught.value)
+    assert os.listdir(tmp_path) == ["x.wav"]
+
+
 @pytest.mark.parametrize("word", WORDS)
 def test_an_earlier_export_is_replaced_with_its_note(tmp_path: Path, word: str) -> None:
     path = tmp_path / f"x{FORMATS[word].suffix}"
