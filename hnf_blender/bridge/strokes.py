@@ -37,6 +37,7 @@ from .channels import Channel, read_channel, sample_channels
 from .meshes import Surface, evaluated_mesh, surface_frame, surface_mesh
 from .nearest_surface import nearest_surface
 from .over_time import is_moving, may_deform, shape_over_time, world_matrices
+from .scene_names import name_in
 from .splines import read_curve
 
 Float = NDArray[np.float64]
@@ -53,10 +54,10 @@ HASH_STEP, HASH_OFFSET = 1e-7, 0.381966
 class SceneStroke:
     """One stroke, ready to touch.
 
-    name: of the curve object. object_name: of the surface. samples: in the surface frame (m). deforming: the
-    surface's shapes while it is touched, None where it keeps its shape. frames: (n,) scene frame of each sample.
-    length_m: of the curve. law: what moved the hand. seed, probe: as set. material: library material that overrides
-    the surface's, "" = none. notes: what a person should know.
+    name, object_name: of the curve object and the surface, as name_in says them. samples: in the surface frame (m).
+    deforming: the surface's shapes while it is touched, None where it keeps its shape. frames: (n,) scene frame of
+    each sample. length_m: of the curve. law: what moved the hand. seed, probe: as set. material: library material that
+    overrides the surface's, "" = none. notes: what a person should know.
     """
 
     name: str
@@ -130,8 +131,8 @@ def read_stroke(
     if law == "PROGRESS" and group.law != "PROGRESS":
         notes += (f"{where}: progress is keyed, so its {group.law.lower()} law is not used.",)
     return SceneStroke(
-        name=obj.name,
-        object_name=target.name,
+        name=name_in(scene, obj),
+        object_name=name_in(scene, target),
         samples=samples,
         deforming=deforming,
         frames=frames,

@@ -14,6 +14,7 @@ from hnf_core.errors import UsageError
 from hnf_core.export.surface import UNTOUCHED, StrokePath, TouchedSurface
 
 from .meshes import Surface, surface_mesh
+from .scene_names import name_in, object_in
 from .storage import FaceTokens, read_tokens
 from .strokes import read_stroke
 
@@ -26,12 +27,12 @@ def touched_surface(
     Raises StrokeError and SceneError where either cannot be read, FileError where the stored palette is damaged.
     """
     read = None if stroke is None else read_stroke(stroke, scene, depsgraph, metres_per_unit)
-    target = obj if obj is not None else scene.objects[read.object_name] if read is not None else None
+    target = obj if obj is not None else object_in(scene, read.object_name) if read is not None else None
     if target is None:
         raise UsageError("no object to export.", remedy="Name a stroke or an object.")
     surface = surface_mesh(target, depsgraph, metres_per_unit)
     found = _with_tokens(surface, read_tokens(target.data) if target.type == "MESH" else None)
-    if read is None or read.object_name != target.name:
+    if read is None or read.object_name != name_in(scene, target):
         return found
     contacts = find_contacts(read.samples, read.surface(surface.mesh), where=f"stroke '{read.name}'")
     return replace(found, path=path_of(contacts))
@@ -54,11 +55,11 @@ def surface_in_scene(
 ) -> TouchedSurface:
     """The surface of a signal that says where it comes from. origin: provenance of its WAV, of which stroke and object
     count. object_name: as asked for, counts more; None = not. Raises UsageError naming what there is."""
-    stroke = scene.objects.get(origin.get("stroke", ""))
+    stroke = object_in(scene, origin.get("stroke", ""))
     if stroke is not None and not stroke.hnf_stroke.is_stroke:
         stroke = None
     name = object_name or ("" if stroke is not None else origin.get("object", ""))
-    target = scene.objects.get(name) if name else None
+    target = object_in(scene, name) if name else None
     if (name and target is None) or (target is None and stroke is None):
         meshes = [obj.name for obj in scene.objects if obj.type == "MESH" and read_tokens(obj.data) is not None]
         said = f"there is no object '{name}' in scene '{scene.name}'" if name else "the WAV does not say its object"

@@ -10,6 +10,7 @@ from typing import Any
 
 from hnf_core.errors import HnfError
 
+from ..bridge.scene_names import named_objects
 from ..bridge.splat_cloud import cloud_of, require_writable, write_point_tokens
 from ..bridge.storage import FaceTokens, write_tokens
 from ..preview.stroke_bake import StrokeBake
@@ -28,8 +29,9 @@ AGAIN = "It keeps what it had; bake it again."
 
 @dataclass(frozen=True)
 class Place:
-    """Where the results belong. scene, view_layer: by name. uids: name → session_uid of the scene's objects when the
-    job began, so that what was renamed meanwhile is found, and what took its name is not taken for it."""
+    """Where the results belong. scene, view_layer: by name. uids: name (name_in) → session_uid of the scene's
+    objects when the job began, so that what was renamed meanwhile is found, and what took its name is not taken for
+    it."""
 
     scene: str
     view_layer: str
@@ -59,7 +61,7 @@ class _Ready:
 
 def place_of(scene: Any, view_layer: Any) -> Place:
     """As the scene is now."""
-    return Place(scene.name, view_layer.name, {obj.name: obj.session_uid for obj in scene.objects})
+    return Place(scene.name, view_layer.name, {name: obj.session_uid for name, obj in named_objects(scene).items()})
 
 
 def commit_steps(result: Result, folder: Path, place: Place) -> Generator[None, None, Committed]:

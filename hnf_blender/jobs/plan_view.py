@@ -7,6 +7,7 @@ from typing import Any
 
 from hnf_core.tactile.tactile_map import Route
 
+from ..bridge.scene_names import object_in
 from ..bridge.storage import token_bytes
 from ..bridge.strokes import stroke_objects
 from ..state.session import STATE, Freshness, PlanLine, PlanView, StrokeStatus
@@ -34,8 +35,7 @@ def make_plan(scene: Any, view_layer: Any) -> PlanView:
     seconds, needed = 0.0, []
     estimated: dict[str, None] = {}
     for job in found.jobs:
-        curve = scene.objects[job.curve_name]
-        status = STATE.strokes[curve.name] = judge(curve, job)
+        status = STATE.strokes[job.curve_name] = judge(object_in(scene, job.curve_name), job)
         if status.freshness is Freshness.FORCE or is_done(session, job):
             lines.append(PlanLine("fresh", stroke.format(name=job.name), status.why))
             continue
@@ -69,12 +69,12 @@ def _bytes_after(session: Session, found: Gathered, needed: list[Job]) -> int:
     """Bakes and tokens that the file will hold, of these strokes and what they touch."""
     total = 0
     for job in found.jobs:
-        stored = stored_bytes(session.scene.objects[job.curve_name])
+        stored = stored_bytes(object_in(session.scene, job.curve_name))
         if job in needed and job.stroke is not None:
             seconds = float(job.stroke.samples.time[-1])
             stored = int(STROKE_BYTES + METRE_BYTES * job.stroke.length_m + SECOND_BYTES * seconds)
         total += stored
-    touched = {job.object_name: session.scene.objects[job.object_name] for job in found.jobs}
+    touched = {job.object_name: object_in(session.scene, job.object_name) for job in found.jobs}
     meshes = {obj.data.name_full: obj.data for obj in touched.values() if obj.type == "MESH"}
     for mesh in meshes.values():
         total += token_bytes(mesh) or FACE_BYTES * len(mesh.polygons) + PALETTE_BYTES

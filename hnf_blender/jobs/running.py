@@ -15,6 +15,7 @@ from hnf_core.cli.probe import ProbePlace
 from hnf_core.errors import FileError, HnfError
 
 from ..bridge.quiet import quiet
+from ..bridge.scene_names import object_in
 from ..bridge.unsaved import check_saved
 from ..state.folders import cache_folder
 from ..state.probe import ProbeView
@@ -191,7 +192,7 @@ def _named_surfaces(scene: Any, only: Sequence[str], place: ProbePlace | None) -
     if place is None:
         surfaces = [curve.hnf_stroke.surface for curve in wanted_curves(scene, only)]
     else:
-        surfaces = [scene.objects.get(place.target) or scene.objects.get(place.target.rpartition(":")[0])]
+        surfaces = [object_in(scene, place.target) or object_in(scene, place.target.rpartition(":")[0])]
     return [obj for obj in surfaces if obj is not None]
 
 

@@ -13,6 +13,7 @@ from hnf_core.errors import SceneError
 from hnf_core.files import write_bytes
 
 from ..bridge.metres import metres_per_unit
+from ..bridge.scene_names import name_in, object_in
 from ..bridge.strokes import stroke_objects
 from ..preview.stroke_bake import stroke_bake_of
 from ..state.session import Freshness
@@ -76,7 +77,7 @@ def scene_session(scene: Any, view_layer: Any, folder: Path) -> Session:
 def wanted_curves(scene: Any, only: Sequence[str]) -> list[Any]:
     """The strokes named in only, or all that are heard. Raises SceneError where there is none."""
     if only:
-        named = [scene.objects.get(name) for name in only]
+        named = [object_in(scene, name) for name in only]
         curves = [obj for obj in named if obj is not None and obj.hnf_stroke.is_stroke]
     else:
         curves = stroke_objects(scene)
@@ -89,8 +90,8 @@ def wanted_curves(scene: Any, only: Sequence[str]) -> list[Any]:
 
 def is_done(session: Session, job: Job) -> bool:
     """The stroke's bake is fresh, and its surface carries its tokens."""
-    fresh = judge(session.scene.objects[job.curve_name], job).freshness is Freshness.FRESH
-    surface = session.scene.objects[job.object_name]
+    fresh = judge(object_in(session.scene, job.curve_name), job).freshness is Freshness.FRESH
+    surface = object_in(session.scene, job.object_name)
     return fresh and tokens_are_there(surface, session.facts(surface))
 
 
@@ -119,4 +120,6 @@ def _write_tokens(session: Session, baked: Iterable[BakedStroke], folder: Path) 
             continue
         file = f"{number:04d}.tokens"
         write_bytes(folder / file, pack_tokens(face_tokens(obj.data, group)))
-        yield TokenFile(obj.name, session.surface_key(obj), tuple(each.stroke.name for each in group), file)
+        yield TokenFile(
+            name_in(session.scene, obj), session.surface_key(obj), tuple(each.stroke.name for each in group), file
+        )

@@ -8,6 +8,7 @@ import bpy
 
 from hnf_core.errors import HnfError
 
+from ..bridge.scene_names import name_in
 from ..jobs import current
 from ..props.scene import active_stroke, has_strokes
 from ..state.redraw import redraw_tab
@@ -78,7 +79,7 @@ class HNF_OT_bake(ModalJob, bpy.types.Operator):  # type: ignore[misc]  # noqa: 
         stroke = active_stroke(context)
         if stroke is None:
             raise HnfError("no stroke is active.", remedy="Select one, in the list or in the 3-D view.")
-        return (stroke.name,)
+        return (name_in(context.scene, stroke),)
 
     def job_line(self, job: JobStatus) -> str:
         return f"{tr('Touch bake')}: {job_text(job)}, {left_text(job)}"

@@ -9,6 +9,7 @@ import bpy
 
 from hnf_core.errors import HnfError
 
+from ..bridge.scene_names import object_in
 from ..props.scene import active_stroke
 from ..state.session import STATE
 from ..translations import tr
@@ -49,7 +50,7 @@ def felt_object(context: Any) -> Any:
     if stroke.hnf_stroke.surface is not None:
         return stroke.hnf_stroke.surface
     status = STATE.strokes.get(stroke.name)
-    return None if status is None else context.scene.objects.get(status.object_name)
+    return None if status is None else object_in(context.scene, status.object_name)
 
 
 def materials_of(obj: Any) -> list[Any]:

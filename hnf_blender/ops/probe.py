@@ -8,6 +8,7 @@ import bpy
 
 from hnf_core.errors import HnfError
 
+from ..bridge.scene_names import name_in
 from ..jobs import current
 from ..state.session import JobStatus, LastJob
 from ..translations import tr
@@ -117,7 +118,9 @@ def clicked_place(context: Any, event: Any) -> "ProbePlace | None":
     area = next((area for area in context.window.screen.areas if region in tuple(area.regions)), None)
     at = (event.mouse_x - region.x, event.mouse_y - region.y)
     hit = None if area is None else surface_under(context, area, region, at)
-    return None if hit is None else ProbePlace(str(hit.obj.name), tuple(float(value) for value in hit.local))
+    return (
+        None if hit is None else ProbePlace(name_in(context.scene, hit.obj), tuple(float(value) for value in hit.local))
+    )
 
 
 CLASSES = (HNF_OT_probe,)

@@ -12,6 +12,7 @@ from hnf_core.export.wav import wav_bytes
 from hnf_core.files import write_bytes
 from hnf_core.signal import Signal
 
+from ..bridge.scene_names import name_in, object_in
 from ..props.export_formats import CHOICE_OF
 from ..props.scene import actuator_of
 from ..state.session import STATE, Freshness
@@ -36,8 +37,9 @@ def true_signal(obj: Any, context: Any) -> Signal:
     from .pictures import Look
     from .present import present
 
-    refresh_status(context.scene, [obj.name], context.view_layer)
-    status, where = STATE.strokes.get(obj.name), f"stroke '{obj.name}'"
+    name = name_in(context.scene, obj)
+    refresh_status(context.scene, [name], context.view_layer)
+    status, where = STATE.strokes.get(name), f"stroke '{name}'"
     if status is None or status.freshness not in (Freshness.FRESH, Freshness.FORCE):
         why = status.why if status is not None else "it is not in this scene."
         # Other reasons say what to do.
@@ -182,7 +184,7 @@ def add_speaker_of(obj: Any, context: Any) -> Any:
         bpy.data.objects.remove(other)
         if data.users == 0:
             bpy.data.speakers.remove(data)
-    surface = scene.objects.get(STATE.strokes[obj.name].object_name)
+    surface = object_in(scene, STATE.strokes[name_in(scene, obj)].object_name)
     speaker = add_speaker(sound, f"{obj.name} speaker", tuple(place), float(obj.hnf_stroke.start), surface)
     _belongs(speaker, obj, scene)
     speaker.data.volume = min(monitor_factor(scene.hnf.monitor_gain_db), 1.0)

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..bridge.scene_names import name_in, object_in
 from ..translations import tr
 from .guard import own_changes
 from .names import absent
@@ -61,7 +62,7 @@ class Watch:
         if scene is None:
             self._pending.clear()
             return
-        names = set(changed) | self._quiet_changes()
+        names = set(changed) | self._quiet_changes(scene)
         _forget_looks(names)
         stamp = (scene.render.fps, scene.render.fps_base, *_scale(scene))
         if not names and stamp == self._stamp:
@@ -69,30 +70,29 @@ class Watch:
         strokes = [obj for obj in scene.objects if obj.hnf_stroke.is_stroke]
         if EVERYTHING in names or stamp != self._stamp:
             self._session, self._stamp = None, stamp
-            _leave_out(STATE.strokes.keys() - {obj.name for obj in strokes})
-            self._pending.update(dict.fromkeys(obj.name for obj in strokes))
+            named = [name_in(scene, obj) for obj in strokes]
+            _leave_out(STATE.strokes.keys() - set(named))
+            self._pending.update(dict.fromkeys(named))
             return
-        surfaces = self._concerned_surfaces(strokes, names)
+        surfaces = self._concerned_surfaces(scene, strokes, names)
         if self._session is not None:
             self._session.forget(surfaces)
         for obj in strokes:
             own = bool(parts_of(obj) & names)
-            if own or self._surface_of(obj) in surfaces or obj.hnf_stroke.surface is None:
-                self._pending[obj.name] = None
+            if own or self._surface_of(scene, obj) in surfaces or obj.hnf_stroke.surface is None:
+                self._pending[name_in(scene, obj)] = None
         _leave_out(names & STATE.strokes.keys())
 
-    def _concerned_surfaces(self, strokes: list[Any], names: set[str]) -> set[str]:
+    def _concerned_surfaces(self, scene: Any, strokes: list[Any], names: set[str]) -> set[str]:
         """Names of surfaces that may look or feel different, where datablocks of these names changed."""
-        import bpy
-
-        known = {self._surface_of(obj) for obj in strokes}
+        known = {self._surface_of(scene, obj) for obj in strokes}
         known |= set() if self._session is None else self._session.known
         if _has_unknown(names):
             return known
-        found = {name: bpy.data.objects.get(name) for name in known}
+        found = {name: object_in(scene, name) for name in known}
         return {name for name, obj in found.items() if obj is None or _concerns(obj, names)}
 
-    def _quiet_changes(self) -> set[str]:
+    def _quiet_changes(self, scene: Any) -> set[str]:
         """Names of strokes and materials whose own settings changed: scripts do that without telling Blender. A few
         strokes a time: finding them by name takes time where there are many objects."""
         import bpy
@@ -100,11 +100,11 @@ class Watch:
         changed = set()
         for name in list(self._settings)[:AT_A_TIME]:
             before = self._settings.pop(name)  # and to the end of the queue
-            obj = bpy.data.objects.get(name)
+            obj = object_in(scene, name)
             if obj is not None:
                 self._settings[name] = _settings(obj)
             if obj is None or self._settings[name] != before:
-                changed.add(name)
+                changed.add(name if obj is None else obj.name)
         choices = {each.name: each.hnf_touch.library for each in bpy.data.materials if each.hnf_touch.library}
         changed |= {name for name, _ in choices.items() ^ self._choices.items()}
         self._choices = choices
@@ -122,7 +122,7 @@ class Watch:
             return False
         view_layer = scene.view_layers.get(self.view_layer) or scene.view_layers[0]
         name = next(iter(self._pending))
-        obj = scene.objects.get(name)
+        obj = object_in(scene, name)
         if obj is None or not obj.hnf_stroke.is_stroke:
             del self._pending[name]
             return STATE.strokes.pop(name, None) is not None
@@ -148,11 +148,11 @@ class Watch:
         self._session.scene, self._session.view_layer = scene, view_layer
         return self._session
 
-    def _surface_of(self, obj: Any) -> str:
+    def _surface_of(self, scene: Any, obj: Any) -> str:
         chosen = obj.hnf_stroke.surface
         if chosen is not None:
-            return str(chosen.name)
-        known = STATE.strokes.get(obj.name)
+            return name_in(scene, chosen)
+        known = STATE.strokes.get(name_in(scene, obj))
         return "" if known is None else known.object_name
 
 

@@ -25,6 +25,7 @@ from ..bridge.own_material import own_word
 from ..bridge.owner import owner_text, reads_of
 from ..bridge.picture_names import picture_names
 from ..bridge.placement import default_slots, place_primitive
+from ..bridge.scene_names import name_in, named_objects, object_in
 from ..bridge.shader_colour import Shows, reads_plainly, shows
 from ..bridge.splat_cloud import cloud_hash, cloud_of, is_cloud, notes_of, source_of
 from ..bridge.strokes import SceneStroke, path_hash, read_stroke, stroke_objects, touch_hash
@@ -92,7 +93,7 @@ class Gathered:
 
 
 class Session:
-    """One scene during one run: its surfaces and hashes, each made once, by object name."""
+    """One scene during one run: its surfaces and hashes, each made once, by the objects' names (name_in)."""
 
     def __init__(self, scene: Any, view_layer: Any, metres_per_unit: float, request: TouchRequest) -> None:
         self.scene, self.view_layer, self.metres_per_unit, self.request = scene, view_layer, metres_per_unit, request
@@ -115,10 +116,11 @@ class Session:
         return self.view_layer.depsgraph
 
     def surface(self, obj: Any) -> Surface:
-        if obj.name not in self._surfaces:
+        name = name_in(self.scene, obj)
+        if name not in self._surfaces:
             made = surface_mesh(obj, self.depsgraph, self.metres_per_unit)
-            self._surfaces[obj.name] = replace(made, notes=(*made.notes, *self.splat_notes(obj)))
-        return self._surfaces[obj.name]
+            self._surfaces[name] = replace(made, notes=(*made.notes, *self.splat_notes(obj)))
+        return self._surfaces[name]
 
     def splat_notes(self, obj: Any) -> tuple[str, ...]:
         """What to say of a reconstructed object: what its reconstruction left to say, and that no one gave it a scale;
@@ -133,9 +135,10 @@ class Session:
 
     def touched(self, obj: Any) -> TouchedObject:
         """Raises SceneError where obj is hidden or has no surface."""
-        if obj.name not in self._touched:
+        name = name_in(self.scene, obj)
+        if name not in self._touched:
             facts = self.facts(obj)
-            self._touched[obj.name] = TouchedObject(
+            self._touched[name] = TouchedObject(
                 obj=obj,
                 surface=self.surface(obj),
                 shape_hash=facts.shape_hash,
@@ -147,11 +150,12 @@ class Session:
                 splats=facts.splats,
                 reliefs=tuple(shown is Shows.RELIEF for shown in facts.shows),
             )
-        return self._touched[obj.name]
+        return self._touched[name]
 
     def facts(self, obj: Any) -> SurfaceFacts:
         """Raises SceneError where obj is hidden or has no surface."""
-        if obj.name not in self._facts:
+        name = name_in(self.scene, obj)
+        if name not in self._facts:
             if not is_visible(obj, self.view_layer):
                 raise SceneError(
                     "it is hidden.", where=f"object '{obj.name}'", remedy="Show it in the viewport and in renders."
@@ -162,7 +166,7 @@ class Session:
             cloud = cloud_of(obj)
             owned = "" if cloud is None else cloud_hash(obj, cloud)
             shown = tuple(shows(material) for material in slots)
-            self._facts[obj.name] = SurfaceFacts(
+            self._facts[name] = SurfaceFacts(
                 materials=tuple("" if material is None else material.name for material in slots),
                 chosen=tuple("" if material is None else own_word(material) for material in slots),
                 shape_hash=mesh_hash(obj, self.depsgraph, self.metres_per_unit, reads.layers),
@@ -173,11 +177,11 @@ class Session:
                 pictures=tuple(picture_names(material) for material in slots),
                 splats="" if cloud is None else source_of(cloud),
             )
-        return self._facts[obj.name]
+        return self._facts[name]
 
     def knows(self, obj: Any) -> bool:
         """Are its facts there already?"""
-        return obj.name in self._facts
+        return name_in(self.scene, obj) in self._facts
 
     @property
     def known(self) -> set[str]:
@@ -197,7 +201,7 @@ class Session:
     def outlook(self, obj: Any, material: str = "") -> list[tuple[Shows, bool]]:
         """Of each slot: what its shader can tell of its relief, and whether the artist said what it is. material: that
         a stroke itself asks for."""
-        facts, choices = self.facts(obj), self.choices(obj.name)
+        facts, choices = self.facts(obj), self.choices(name_in(self.scene, obj))
         said = [
             bool(material or choices.get(slot) or choices.get(None) or own) for slot, own in enumerate(facts.chosen)
         ]
@@ -205,7 +209,7 @@ class Session:
 
     def surface_key(self, obj: Any) -> str:
         """Hash of all that tokens on obj follow from, apart from what single strokes ask for."""
-        return self._inputs(obj.name, "", "", "").surface_key
+        return self._inputs(name_in(self.scene, obj), "", "", "").surface_key
 
     def seed(self, own: int) -> int:
         return own if self.request.seed is None else self.request.seed
@@ -226,21 +230,21 @@ class Session:
         stroke = self.read(curve)
         seed = self.seed(stroke.seed)
         inputs = self._inputs(stroke.object_name, stroke.material, path_hash(stroke), touch_hash(stroke, seed))
-        return Job(curve.name, stroke.object_name, inputs, seed, curve_name=curve.name, stroke=stroke)
+        return Job(stroke.name, stroke.object_name, inputs, seed, curve_name=stroke.name, stroke=stroke)
 
     def job_to_place(self, name: str, target: Target, primitive: Primitive) -> Job:
-        obj, seed = self.scene.objects[target.object_name], self.seed(0)
+        obj, seed = object_in(self.scene, target.object_name), self.seed(0)
         around = neighbours_hash_parts(obj, self.scene, self.depsgraph, self.metres_per_unit)
         world = obj.evaluated_get(self.depsgraph).matrix_world
         rigid, _ = surface_frame(world, self.metres_per_unit, f"object '{obj.name}'")
         around.append(repr((np.round(rigid[2, :3], 3) + 0.0).tolist()))  # which side is up: an underside is avoided
         path = content_hash("placed", primitive.name, str(target.slot), *around)
-        inputs = self._inputs(obj.name, "", path, content_hash(str(seed)))
-        return Job(name, obj.name, inputs, seed, primitive=primitive, slot=target.slot)
+        inputs = self._inputs(target.object_name, "", path, content_hash(str(seed)))
+        return Job(name, target.object_name, inputs, seed, primitive=primitive, slot=target.slot)
 
     def _inputs(self, object_name: str, material: str, path: str, touch: str) -> Inputs:
         """material: that the stroke itself asks for."""
-        obj = self.scene.objects[object_name]
+        obj = object_in(self.scene, object_name)
         facts = self.facts(obj)
         choices = repr(sorted(self.choices(object_name).items(), key=repr))
         reads = any(look is Shows.PICTURE and not chosen for look, chosen in self.outlook(obj, material))
@@ -289,7 +293,7 @@ def gather(session: Session) -> Gathered:
             _try(
                 found, name,
                 lambda obj=obj, slot=slot, name=name: session.job_to_place(
-                    name, Target(obj.name, slot), DEFAULT_PRIMITIVE),
+                    name, Target(name_in(scene, obj), slot), DEFAULT_PRIMITIVE),
             )  # fmt: skip
         if not found.jobs and not found.failed:
             raise SceneError(
@@ -303,7 +307,7 @@ def gather_curves(session: Session, curves: Iterable[Any]) -> Gathered:
     """Jobs of these stroke objects."""
     found = Gathered()
     for curve in curves:
-        _try(found, curve.name, lambda curve=curve: session.job_of_curve(curve))
+        _try(found, name_in(session.scene, curve), lambda curve=curve: session.job_of_curve(curve))
     return found
 
 
@@ -311,7 +315,7 @@ def look_around(session: Session, found: Gathered) -> None:
     """Say what the jobs leave out, and which of their surfaces have a size that no hand would meet."""
     found.skipped += list(_left_out(session, {job.object_name for job in found.jobs}))
     for name in dict.fromkeys(job.object_name for job in found.jobs):
-        obj = session.scene.objects[name]
+        obj = object_in(session.scene, name)
         warning = size_warning(obj, session.metres_per_unit)
         found.notes += [*([warning] if warning else []), *session.splat_notes(obj)]
 
@@ -332,12 +336,13 @@ def _unique(name: str, found: Gathered) -> str:
 
 def _left_out(session: Session, touched: set[str]) -> Iterator[Skipped]:
     """What the strokes do not need: counted, not listed, where it is much."""
-    others = [
-        obj for obj in session.scene.objects if obj.type == "MESH" and obj.name not in touched and not is_cloud(obj)
-    ]
-    free = [obj.name for obj in visible(others, session.view_layer)]
-    hidden = sorted({obj.name for obj in others}.difference(free))
-    muted = [obj.name for obj in session.scene.objects if obj.hnf_stroke.is_stroke and obj.hnf_stroke.mute]
+    named = named_objects(session.scene)
+    others = {
+        obj: name for name, obj in named.items() if obj.type == "MESH" and name not in touched and not is_cloud(obj)
+    }
+    free = [others[obj] for obj in visible(others, session.view_layer)]
+    hidden = sorted(set(others.values()).difference(free))
+    muted = [name for name, obj in named.items() if obj.hnf_stroke.is_stroke and obj.hnf_stroke.mute]
     for names, kind, why in (
         (free, "object", "no stroke touches it"),
         (hidden, "object", "hidden"),

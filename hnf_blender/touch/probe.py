@@ -21,6 +21,7 @@ from hnf_core.material.token import TOKEN_DIM, band_slice
 from hnf_core.simulation.classes import SCATTER
 from hnf_core.tactile.tactile_map import Route, TactileMap
 
+from ..bridge.scene_names import name_in, object_in
 from .bake import TouchedObject, bake_patches, patch_key, source_of, token_of, widest_map
 from .choose import Asked, SlotMaterial, chosen_material, decide_material, ranked_materials
 from .jobs import Session
@@ -81,7 +82,7 @@ def locate(session: Session, asked: ProbePlace) -> tuple[TouchedObject, Place]:
     Raises SceneError: no such object, no surface, no such UV, or not on it.
     """
     target = resolve_target(session.scene, asked.target)
-    obj = session.scene.objects[target.object_name]
+    obj = object_in(session.scene, target.object_name)
     touched = session.touched(obj)
     where = f"object '{obj.name}'"
     mesh = touched.surface.mesh if target.slot is None else of_slot(touched.surface.mesh, target.slot)
@@ -94,7 +95,7 @@ def probe_steps(session: Session, asked: ProbePlace, cache: Path, counts: Counts
     """Look at one place: one patch, through the same store as strokes. Yields the share done. Raises HnfError."""
     touched, place = locate(session, asked)
     slot = place.patch.slot
-    words = Asked(session.choices(touched.surface.object_name))
+    words = Asked(session.choices(name_in(session.scene, touched.obj)))
     chosen = chosen_material(touched, slot, words)
     picked = () if chosen is None else (slot,)
     (record,) = yield from bake_patches(touched, [place.patch], cache, counts, session.seeing, picked)

@@ -6,6 +6,7 @@ from typing import Any
 
 from hnf_core.tactile.tactile_map import Route
 
+from ..bridge.scene_names import object_in
 from ..bridge.shader_colour import Shows
 from .jobs import Job, Session
 from .plan import IMAGE_SECONDS, PATTERN_SECONDS, SlotPlan
@@ -16,7 +17,7 @@ CHOSEN = "chosen by the artist"
 def slot_plans(session: Session, job: Job) -> tuple[SlotPlan, ...]:
     """Of the slots that the job may touch: all of its object's, or the one that it is to be placed on."""
     plans = object_plans(
-        session, session.scene.objects[job.object_name], "" if job.stroke is None else job.stroke.material
+        session, object_in(session.scene, job.object_name), "" if job.stroke is None else job.stroke.material
     )
     return tuple(plan for slot, plan in enumerate(plans) if job.slot in (None, slot))
 
@@ -38,7 +39,7 @@ def _slot_plan(material: str, shown: Shows, chosen: bool, missing: str, seen: st
     """seen: what there is to estimate a relief from. plainly: its relief is read off images as they are."""
     if shown is Shows.RELIEF:
         seconds = IMAGE_SECONDS if plainly else PATTERN_SECONDS
-        return SlotPlan(material, Route.MEASURED, "its shader has a relief", seconds)
+        return SlotPlan(material, Route.MEASURED, "from the bump, normal or displacement in its shader", seconds)
     if shown is Shows.PICTURE and not chosen:
         if missing:
             return SlotPlan(material, Route.PRIOR, missing)

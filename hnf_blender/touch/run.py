@@ -19,6 +19,7 @@ from hnf_core.folder_lock import folder_lock
 
 from ..bridge.importers import open_scene
 from ..bridge.metres import metres_per_unit
+from ..bridge.scene_names import object_in
 from .deliver import deliver, save_baked
 from .feel import BakedStroke, feel
 from .jobs import Gathered, Job, Session, gather
@@ -148,7 +149,7 @@ def make_plan(session: Session, found: Gathered, earlier: dict[str, StrokeReport
             fresh.append(Fresh(job.name, job.object_name, earlier[job.key].wav))
             continue
         length = TYPICAL_PATH_M if job.stroke is None else job.stroke.length_m
-        slots = session.facts(session.scene.objects[job.object_name]).materials
+        slots = session.facts(object_in(session.scene, job.object_name)).materials
         shader = slots[job.slot] if job.slot is not None and job.slot < len(slots) else ", ".join(slots)
         why = "changed since the last run" if _has_name(earlier, job.name) else "not baked yet"
         routes = slot_plans(session, job)

@@ -13,6 +13,7 @@ from hnf_core.blas import one_blas_thread
 from hnf_core.cli.progress import Progress
 from hnf_core.errors import HnfError
 
+from ..bridge.scene_names import object_in
 from .feel import BakedStroke, bake_stroke_steps, without_maps
 from .jobs import Job, Session
 from .report import Failed, Report
@@ -68,9 +69,9 @@ def _bake(session: Session, job: Job, cache: Path, report: Report) -> Generator[
     stroke = job.stroke
     if stroke is None:
         with timed(report, "place_s"):
-            curve = session.place(session.scene.objects[job.object_name], job, report.counts)
+            curve = session.place(object_in(session.scene, job.object_name), job, report.counts)
         stroke = session.read(curve)
-    touched = session.touched(session.scene.objects[stroke.object_name])
+    touched = session.touched(object_in(session.scene, stroke.object_name))
     choices = session.choices(stroke.object_name)
     described = yield from bake_stroke_steps(stroke, touched, choices, cache, report.counts, session.seeing)
     for note in described.notes:

@@ -8,16 +8,16 @@ from typing import Any
 
 from hnf_core.errors import SceneError
 
+from ..bridge.scene_names import named_objects
+
 
 @dataclass(frozen=True)
 class Target:
-    """object_name: a mesh object of the scene. slot: index of the material slot, None = the whole object."""
+    """object_name: a mesh object of the scene, as name_in calls it. slot: index of the material slot, None = the
+    whole object."""
 
     object_name: str
     slot: int | None
-
-    def covers(self, object_name: str, slot: int) -> bool:
-        return self.object_name == object_name and self.slot in (None, slot)
 
 
 def resolve_target(scene: Any, text: str) -> Target:
@@ -25,7 +25,7 @@ def resolve_target(scene: Any, text: str) -> Target:
 
     Raises SceneError naming what is there instead.
     """
-    meshes = {obj.name: obj for obj in scene.objects if obj.type == "MESH"}
+    meshes = {name: obj for name, obj in named_objects(scene).items() if obj.type == "MESH"}
     if text in meshes:
         return Target(text, None)
     name, colon, slot_text = text.rpartition(":")

@@ -1,0 +1,112 @@
+"""A linked object called as one of this file is: neither is taken for the other, whoever names them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from job_scene import PLATE, kept, line_stroke, small_scene
+from touch_scene import save_scene, touch
+
+from hnf_blender.bridge.scene_names import name_in, named_objects, object_in
+from hnf_blender.jobs import plan_view, running
+from hnf_blender.jobs.work import scene_session
+from hnf_blender.preview.stroke_bake import load_bake
+from hnf_blender.state.session import STATE, Freshness
+from hnf_blender.state.watch import refresh_status
+from hnf_blender.touch.jobs import gather
+from hnf_blender.touch.targets import resolve_target
+
+
+def link_again(tmp_path, *names):
+    """The named objects, written to another file and linked back beside the ones here."""
+    library = tmp_path / "set.blend"
+    bpy.data.libraries.write(str(library), {bpy.data.objects[name] for name in names})
+    with bpy.data.libraries.load(str(library), link=True) as (_, wanted):
+        wanted.objects = list(names)
+    for obj in wanted.objects:
+        bpy.context.scene.collection.objects.link(obj)
+    bpy.context.view_layer.update()
+    return wanted.objects
+
+
+def two_plates(tmp_path):
+    """A plate of ridges linked from another file, with a stroke on it, and a plain one of rubber of this file far
+    away."""
+    plate, stroke = small_scene()
+    (linked,) = link_again(tmp_path, PLATE)
+    plate.location.x = 10.0
+    plate.data = plate.data.copy()
+    plate.data.materials.clear()
+    plate.data.materials.append(bpy.data.materials.new("Rubber"))
+    stroke.hnf_stroke.surface = linked
+    bpy.context.view_layer.update()
+    return plate, linked, stroke
+
+
+def bake_all():
+    return running.bake_in_line(bpy.context.scene, bpy.context.view_layer)
+
+
+def test_every_object_of_a_scene_has_one_name(tmp_path) -> None:
+    plate, linked, stroke = two_plates(tmp_path)
+    scene = bpy.context.scene
+    names = named_objects(scene)
+    assert len(names) == len(scene.objects)
+    for obj in (plate, linked, stroke):
+        assert object_in(scene, name_in(scene, obj)) == obj == names[name_in(scene, obj)]
+    assert name_in(scene, plate) == PLATE
+    assert name_in(scene, linked) == "Plate [set.blend]"
+    scene.collection.objects.unlink(plate)
+    assert name_in(scene, linked) == PLATE  # nobody else is called so now
+    assert object_in(scene, PLATE) == linked
+    assert object_in(scene, "Plaet") is None
+
+
+def test_the_surface_that_was_chosen_is_baked(tmp_path, lone_bake) -> None:
+    _, linked, stroke = two_plates(tmp_path)
+    assert bake_all().written == 1
+    facts = load_bake(stroke).facts
+    assert facts["material"] == "Plate plastic"
+    assert "measured" in facts["routes"]
+    refresh_status(bpy.context.scene)
+    assert plan_view.make_plan(bpy.context.scene, bpy.context.view_layer).lines[0].kind == "fresh"
+    stroke.hnf_stroke.surface = None  # the nearest one is the same
+    bpy.context.view_layer.update()
+    assert surfaces() == [linked.name_full]
+
+
+def surfaces():
+    session = scene_session(bpy.context.scene, bpy.context.view_layer, Path())
+    return [job.object_name for job in gather(session).jobs]
+
+
+def test_one_on_each_is_told_apart(tmp_path, lone_bake) -> None:
+    plate, _, stroke = two_plates(tmp_path)
+    other = line_stroke("Far", surface=plate, centre=(10.0, 0.0, 0.0))
+    assert bake_all().written == 3
+    assert load_bake(stroke).facts["material"] == "Plate plastic"
+    assert load_bake(other).facts["material"] == "Rubber"
+
+
+def test_a_stroke_gets_its_bake_beside_a_linked_one_of_its_name(tmp_path, lone_bake) -> None:
+    _, stroke = small_scene()
+    link_again(tmp_path, "Along", PLATE)
+    ended = bake_all()
+    assert list(kept()["bakes"]) == ["Along"]
+    assert load_bake(stroke) is not None
+    assert "Along [set.blend]" in ended.message + " ".join(ended.details)
+    refresh_status(bpy.context.scene)
+    assert STATE.strokes["Along"].freshness is Freshness.FRESH
+
+
+def test_the_command_line_takes_either(tmp_path) -> None:
+    two_plates(tmp_path)
+    scene = bpy.context.scene
+    assert object_in(scene, resolve_target(scene, PLATE).object_name).library is None
+    assert object_in(scene, resolve_target(scene, "Plate [set.blend]:0").object_name).library is not None
+    code, report = touch(save_scene(tmp_path / "scene.blend"), tmp_path / "out")
+    assert code == 0
+    assert [(each["name"], each["object"], each["material"]) for each in report["strokes"]] == [
+        ("Along", "Plate [set.blend]", "Plate plastic")
+    ]
