@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from ..errors import FileError, StrokeError
 from .action import ACTION_RATE_HZ, Action
+from .band_limited import band_limited
 
 Float = NDArray[np.float64]
 
 COLUMNS = ("time_s", "direction_rad", "speed_m_s", "force_n")
 LONGEST_S = 86_400.0
 """Whoever asks for more has another unit in mind: ten seconds in microseconds would be four months."""
-_AT_ONCE = 1024
 _REMEDY = f"Give the header {','.join(COLUMNS)} and one row of four numbers per time."
 
 
@@ -29,37 +29,41 @@ def read_action_csv(path: Path, probe: str = "pen", rate: float = ACTION_RATE_HZ
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
-            header, table = _read(path, csv.reader(stream))
+            header, table, lines = _read(path, stream)
     except OSError as error:
         raise FileError(f"cannot read it ({error.strerror}).", where=str(path), remedy="Check the path.") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise FileError(f"not a CSV table ({error}).", where=str(path), remedy=_REMEDY) from error
-    if len(table) < 2:
-        raise StrokeError("fewer than two rows.", where=str(path), remedy=_REMEDY)
     return action_from_table(
-        *(table[:, header.index(name)] for name in COLUMNS), probe=probe, rate=rate, where=str(path)
+        *(table[:, header.index(name)] for name in COLUMNS), probe=probe, rate=rate, where=str(path), lines=lines
     )
 
 
 def action_from_table(
     time: Float, direction: Float, speed: Float, force: Float, *, probe: str = "pen", rate: float = ACTION_RATE_HZ,
-    where: str = "action",
+    where: str = "action", lines: Sequence[int] = (),
 ) -> Action:  # fmt: skip
     """Columns (n,) on any rising time grid [s, rad, m/s, N] → Action on an even one.
 
     Direction is interpolated as a vector (179° and −179° are neighbours); where it vanishes, the nearest row's counts.
     Position is the integral of speed over the table's own grid. Contact is where force is above zero. Of a table finer
-    than the action, what the action cannot hold is taken out first: a vibration in it would fold to a tone. Raises
-    StrokeError for a grid that does not rise, spans less than 5 ms or more than a day, values that are not finite, or
-    negative speed or force.
+    than the action, what the action cannot hold is taken out first: a vibration in it would fold to a tone. where,
+    lines: the table and its rows (n,) as messages name them; without lines they are rows 1, 2 and so on. Raises
+    StrokeError for columns of different lengths or of fewer than two rows, a grid that does not rise, spans less than
+    5 ms or more than a day, values that are not finite, or negative speed or force.
     """
+    if not time.shape == direction.shape == speed.shape == force.shape or time.ndim != 1:
+        shapes = ", ".join(str(column.shape) for column in (time, direction, speed, force))
+        raise StrokeError(f"its columns have shapes {shapes}.", where=where, remedy="Give four columns of one length.")
+    if len(time) < 2:
+        raise StrokeError("fewer than two rows.", where=where, remedy=_REMEDY)
     columns = np.stack([time, direction, speed, force]).astype(np.float64)
     if not np.isfinite(columns).all():
-        row = int(np.argmin(np.isfinite(columns).all(axis=0))) + 1
-        raise StrokeError(f"row {row} holds a value that is not finite.", where=where, remedy="Remove or repair it.")
+        row = _row_name(int(np.argmin(np.isfinite(columns).all(axis=0))), lines)
+        raise StrokeError(f"{row} holds a value that is not finite.", where=where, remedy="Remove or repair it.")
     if np.any(np.diff(time) <= 0.0):
-        row = int(np.argmax(np.diff(time) <= 0.0)) + 2
-        raise StrokeError(f"time does not rise at row {row}.", where=where, remedy="Sort the rows by time_s.")
+        row = _row_name(int(np.argmax(np.diff(time) <= 0.0)) + 1, lines)
+        raise StrokeError(f"time does not rise at {row}.", where=where, remedy="Sort the rows by time_s.")
     if speed.min() < 0.0 or force.min() < 0.0:
         raise StrokeError(
             "speed and force must not be negative.", where=where, remedy="Turn the direction by π to go backward."
@@ -77,12 +81,12 @@ def action_from_table(
         )
     place = time[0] + np.arange(count) / rate
     travelled = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))])
-    vector = _held(np.stack([np.cos(direction), np.sin(direction)], axis=1), time, place, rate)
+    vector = band_limited(np.stack([np.cos(direction), np.sin(direction)], axis=1), time, count, rate)
     length = np.linalg.norm(vector, axis=1, keepdims=True)
     nearest = direction[np.searchsorted(time, place).clip(0, len(time) - 1)]
     kept = np.stack([np.cos(nearest), np.sin(nearest)], axis=1)
     contact = np.interp(place, time, force) > 0.0
-    slow = _held(np.stack([speed, force], axis=1), time, place, rate)
+    slow = band_limited(np.stack([speed, force], axis=1), time, count, rate)
     return Action(
         rate=rate,
         direction=np.where(length > 1e-6, vector / np.maximum(length, 1e-6), kept),
@@ -94,34 +98,26 @@ def action_from_table(
     )
 
 
-def _read(path: Path, rows: Iterator[list[str]]) -> tuple[list[str], Float]:
-    """Header and (n, columns) numbers; a row of text is held no longer than it takes to read it."""
+def _row_name(row: int, lines: Sequence[int]) -> str:
+    """A row, counted from 0, as a message names it: its line in the file, or its number where there is none."""
+    return f"line {lines[row]}" if lines else f"row {row + 1}"
+
+
+def _read(path: Path, stream: Iterable[str]) -> tuple[list[str], Float, Sequence[int]]:
+    """Header, (n, columns) numbers and the n lines of the file that they stand in; a row of text is held no longer than
+    it takes to read it."""
+    rows = csv.reader(stream)
     filled = (row for row in rows if any(cell.strip() for cell in row))
     header = [cell.strip() for cell in next(filled, [])]
-    missing = [name for name in COLUMNS if name not in header]
-    if missing:
-        raise FileError(f"column {missing[0]} is missing.", where=str(path), remedy=_REMEDY)
-    numbers = array("d")
-    for number, row in enumerate(filled, start=2):
-        numbers.extend(_numbers(path, number, row, header))
-    return header, np.array(numbers, dtype=np.float64).reshape(-1, len(header))
-
-
-def _held(values: Float, time: Float, place: Float, rate: float) -> Float:
-    """(m, k) what an even grid of this rate can hold of values (n, k): read straight between rows, and where the rows
-    are finer, averaged under a Gaussian that is −3 dB at a quarter of the rate and −27 dB at three."""
-    step = float(np.median(np.diff(time)))
-    if step > 0.5 / rate:
-        return np.stack([np.interp(place, time, column) for column in values.T], axis=1)
-    sigma = np.sqrt(np.log(2.0)) / (2.0 * np.pi * 0.25 * rate)
-    around = step * np.arange(-np.ceil(4.0 * sigma / step), np.ceil(4.0 * sigma / step) + 1.0)
-    weights = np.exp(-0.5 * np.square(around / sigma))
-    out = np.empty((len(place), values.shape[1]))
-    for low in range(0, len(place), _AT_ONCE):
-        at = place[low : low + _AT_ONCE, None] + around
-        for column, series in enumerate(values.T):
-            out[low : low + _AT_ONCE, column] = np.interp(at, time, series) @ (weights / weights.sum())
-    return out
+    for name in COLUMNS:
+        if header.count(name) != 1:
+            fault = f"column {name} is missing" if name not in header else f"there are two columns {name}"
+            raise FileError(f"{fault}.", where=str(path), remedy=_REMEDY)
+    numbers, lines = array("d"), array("q")
+    for row in filled:
+        numbers.extend(_numbers(path, rows.line_num, row, header))
+        lines.append(rows.line_num)
+    return header, np.array(numbers, dtype=np.float64).reshape(-1, len(header)), lines
 
 
 def _travelled_at(place: Float, time: Float, speed: Float, travelled: Float) -> Float:

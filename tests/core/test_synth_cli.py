@@ -183,8 +183,12 @@ def test_direction_turns_the_short_way():
         (HEADER + "0,0,x,1\n1,0,0,1\n", FileError, "line 2"),
         (HEADER + "0,0,1\n1,0,0,1\n", FileError, "line 2"),
         (HEADER + "0,0,0.1,1\n", StrokeError, "fewer than two"),
-        (HEADER + "0,0,0.1,1\n0,0,0.1,1\n", StrokeError, "row 2"),
-        (HEADER + "0,0,0.1,nan\n1,0,0.1,1\n", StrokeError, "row 1"),
+        (HEADER + "0,0,0.1,1\n0,0,0.1,1\n", StrokeError, "line 3"),
+        (HEADER + "0,0,0.1,nan\n1,0,0.1,1\n", StrokeError, "line 2"),
+        (HEADER + "\n\n0,0,0.1,1\n\n1,0,x,1\n", FileError, "line 6"),
+        (HEADER + "\n0,0,0.1,1\n\n1,0,nan,1\n", StrokeError, "line 5"),
+        (HEADER + "0,0,0.1,1\n\n\n0,0,0.1,1\n", StrokeError, "line 5"),
+        (HEADER.strip() + ",force_n\n0,0,0.1,1,2\n1,0,0.1,1,2\n", FileError, "two columns force_n"),
         (HEADER + "0,0,-0.1,1\n1,0,0.1,1\n", StrokeError, "negative"),
     ],
 )
@@ -194,6 +198,15 @@ def test_broken_tables_are_refused_where_they_break(tmp_path, text, error, word)
     with pytest.raises(error, match=word) as caught:
         read_action_csv(path)
     assert "a.csv" in str(caught.value)
+
+
+def test_columns_that_are_no_table_are_refused_in_words():
+    with pytest.raises(StrokeError, match="fewer than two"):
+        action_from_table(*(np.zeros(0) for _ in range(4)))
+    with pytest.raises(StrokeError, match="shapes"):
+        action_from_table(np.arange(3.0), np.zeros(3), np.ones(2), np.ones(3))
+    with pytest.raises(StrokeError, match="row 2 holds"):
+        action_from_table(np.arange(3.0), np.array([0.0, np.nan, 0.0]), np.ones(3), np.ones(3))
 
 
 def test_a_byte_order_mark_and_other_column_order_are_no_obstacle(tmp_path):
