@@ -15,7 +15,7 @@ import threading
 import types
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -49,9 +49,9 @@ from .player_messages import (
     decode_command,
     encode,
 )
+from .playing import Playing
 from .profile import OWN, ActuatorProfile, own_profile
 from .profile_file import profile_at
-from .sink import SinkFormat
 from .sources.live import Live
 from .sources.recorded import Recorded
 from .stream import Stream
@@ -63,81 +63,70 @@ LIVE_BLOCK_S = 0.005
 LEAVE_S = 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class Playing:
-    """gain: that was multiplied into the source's samples beforehand. ahead_s: made ahead of the sink."""
+Lasting = Play | LiveBegin | Pause | Resume | Seek | Loop | Gain | Swap
+"""Commands that may take time, or are to be done in their turn."""
 
-    play: int
-    stream: Stream
-    source: Recorded | Live
-    device: SinkFormat
-    where: Where
-    gain: float
-    ahead_s: float
-    note: str
 
-    @property
-    def ended(self) -> bool:
-        return self.stream.wait(0.0)
-
-    def status(self) -> Status:
-        report = self.stream.report
-        made, latency_ms = 0.0, report.latency_p99_ms
-        if isinstance(self.source, Live):
-            latency_ms += self.source.latency_p99_ms
-        else:
-            owed_s = min(max(report.frames / self.device.rate_hz - report.played_s, 0.0), self._queue_s)
-            made = self.source.position_s - (owed_s + self.ahead_s if report.state == "playing" else 0.0)
-        return Status(
-            self.play,
-            "paused" if report.state == "paused" else "ended" if report.state == "ended" else "playing",
-            max(made, 0.0),
-            report.level_m_s2,
-            report.peak,
-            report.underruns,
-            report.limited_samples + report.device_limited_samples,
-            report.nonfinite_samples,
-            report.played_s,
-            latency_ms,
-            report.temperature_c,
-            " ".join(report.problem.split()),
-        )
-
-    @property
-    def _queue_s(self) -> float:
-        return self.device.queue_frames / self.device.rate_hz
+class Overtaken(Exception):  # noqa: N818  # no error: somebody wanted silence
+    """It was stopped before it began."""
 
 
 class Player:
-    """One thread calls do(); playing may be read from another. say: takes reports, at once."""
+    """hear() is for the thread that reads, do() for one that may wait: for a file, a material, a device. playing may be
+    read from any. say: takes reports, at once."""
 
     def __init__(self, say: Callable[[Report], None]) -> None:
         self._say = say
         self.playing: Playing | None = None
+        self.stops = 0
+        """How often it was stopped. What was heard before the last time is not begun any more."""
+        self._lock = threading.Lock()
+        self._heard_at = 0
+        self._opening: Stream | None = None
+        self._moved: Move | None = None
 
-    def do(self, command: Command) -> None:
-        """Raises HnfError where it cannot be done."""
+    def hear(self, command: Command) -> Lasting | None:
+        """Does at once what cannot wait, a stop and where the hand is, and gives back what do() has to do."""
+        if isinstance(command, Move):
+            self._move(command)
+            return None
+        if isinstance(command, Stop | Quit):
+            self.stop()
+            return None
         if isinstance(command, Play):
-            self._play(command)
-        elif isinstance(command, LiveBegin):
-            self._live(command)
-        elif isinstance(command, Move):
-            playing = self.playing
-            if playing is not None and isinstance(playing.source, Live):
-                playing.source.move(command.time_s, (command.x_m, command.y_m), command.force_n)
+            self._moved = None
+        return command
+
+    def do(self, command: Lasting, heard_at: int) -> None:
+        """heard_at: stops, when it was heard. Raises HnfError where it cannot be done."""
+        self._heard_at = heard_at
+        if isinstance(command, Play | LiveBegin):
+            try:
+                self._play(command) if isinstance(command, Play) else self._live(command)
+            except Overtaken:
+                self._say(Status.over(command.play))
         elif isinstance(command, Pause):
             self._now().stream.pause()
         elif isinstance(command, Resume):
             self._now().stream.resume()
-        elif isinstance(command, Stop | Quit):
-            self.stop()
         else:
             self._change(command)
 
     def stop(self) -> None:
-        """Silence, and the device given back."""
-        if self.playing is not None:
-            self.playing.stream.stop()
+        """Silence, and the device given back; what is about to begin does not."""
+        with self._lock:
+            self.stops += 1
+            self._moved = None
+            streams = [None if self.playing is None else self.playing.stream, self._opening]
+        for stream in streams:
+            if stream is not None:
+                stream.stop()
+
+    def _move(self, command: Move) -> None:
+        with self._lock:
+            self._moved = command
+            if self.playing is not None:
+                _feel(self.playing.source, command)
 
     def _change(self, command: Seek | Loop | Gain | Swap) -> None:
         playing = self._now()
@@ -175,12 +164,15 @@ class Player:
 
     def _live(self, command: LiveBegin) -> None:
         synthesis = synthesis_for_material(command.material, seed=command.seed, probe=command.probe)
-        now = self.playing
-        if now is not None and isinstance(now.source, Live) and now.where == command.where and not now.ended:
-            now.source.touch(synthesis)
-            self._went_on(replace(now, play=command.play))
-        else:
-            self._begin(command.play, Live(synthesis), command.where, "what the hand does")
+        with self._lock:
+            self._still_wanted()
+            now = self.playing
+            goes_on = now is not None and now.where == command.where and not now.ended
+            if now is not None and goes_on and isinstance(now.source, Live):
+                now.source.touch(synthesis)
+                self._went_on(replace(now, play=command.play))
+                return
+        self._begin(command.play, Live(synthesis), command.where, "what the hand does")
 
     def _begin(
         self,
@@ -201,11 +193,31 @@ class Player:
         sink = sink_of(target, source.rate_hz, limits, source.channels)
         stages = stages_of(profile, source.rate_hz, source.channels)
         stream = Stream(source, sink, limits, block_s=block_s, ahead_blocks=ahead, stages=stages)
-        self.stop()
-        device = stream.start()
-        made_up = ", its response made up for" if stages else ""
-        said = f"{note}; {at_most(profile, device)}{made_up}"
-        self._went_on(Playing(play, stream, source, device, where, gain, ahead * block_s, said))
+        with self._lock:
+            self._still_wanted()
+            self._opening = stream
+        try:
+            if self.playing is not None:
+                self.playing.stream.stop()
+            device = stream.start()
+            made_up = ", its response made up for" if stages else ""
+            said = f"{note}; {at_most(profile, device)}{made_up}"
+            with self._lock:
+                self._still_wanted()
+                if self._moved is not None:
+                    _feel(source, self._moved)
+                self._went_on(Playing(play, stream, source, device, where, gain, ahead * block_s, said))
+        except HnfError:
+            self._still_wanted()  # a stream that was stopped before it began says so in its own way
+            raise
+        finally:
+            with self._lock:
+                self._opening = None
+
+    def _still_wanted(self) -> None:
+        """Raises Overtaken."""
+        if self.stops > self._heard_at:
+            raise Overtaken
 
     def _went_on(self, playing: Playing) -> None:
         device = playing.device
@@ -214,9 +226,15 @@ class Player:
         self.playing = playing
 
     def _now(self) -> Playing:
-        if self.playing is None or self.playing.ended:
+        """What plays, or did when the command was heard."""
+        if self.playing is None or (self.playing.ended and self.stops == self._heard_at):
             raise UsageError("nothing plays.")
         return self.playing
+
+
+def _feel(source: Recorded | Live, moved: Move) -> None:
+    if isinstance(source, Live):
+        source.move(moved.time_s, (moved.x_m, moved.y_m), moved.force_n)
 
 
 class Teller(threading.Thread):
@@ -286,30 +304,57 @@ def main(words: Sequence[str] = (), stdin: BinaryIO | None = None, stdout: Binar
     teller = Teller(stdout)
     teller.say(Ready(VERSION))
     teller.start()
+    doer = Doer(teller)
+    doer.start()
     try:
         for raw in stdin:
             line = raw.decode("utf-8", "replace").strip()
-            if line and _done(teller, line):
+            if line and doer.heard(line):
                 break
     finally:
         teller.player.stop()
+        doer.leave()
         teller.leave()
     return 0
 
 
-def _done(teller: Teller, line: str) -> bool:
-    """Do what it says; whether that was to leave."""
-    play = -1
-    try:
-        command = decode_command(line)
-        play = command.play if isinstance(command, Play | LiveBegin) else -1
-        teller.player.do(command)
+class Doer(threading.Thread):
+    """Does what takes time, in the order in which it was heard, so that the thread that reads can always stop."""
+
+    def __init__(self, teller: Teller) -> None:
+        super().__init__(name="hnf-player-doer", daemon=True)
+        self._teller, self._player = teller, teller.player
+        self._heard: queue.SimpleQueue[tuple[Lasting | HnfError, int] | None] = queue.SimpleQueue()
+
+    def heard(self, line: str) -> bool:
+        """By the thread that reads. Whether it said to leave."""
+        try:
+            command = decode_command(line)
+        except HnfError as error:
+            self._heard.put((error, 0))  # told in its turn
+            return False
+        lasting = self._player.hear(command)
+        if lasting is not None:
+            self._heard.put((lasting, self._player.stops))
         return isinstance(command, Quit)
-    except HnfError as error:
-        teller.say(Refused(play, " ".join(str(error).split())))
-    except Exception as error:  # a fault of ours must not silence the line
-        teller.say(Refused(play, f"it failed: {type(error).__name__}: {error}"))
-    return False
+
+    def leave(self) -> None:
+        """After what it does now, and no later than in a second: nothing of it sounds any more."""
+        self._heard.put(None)
+        self.join(LEAVE_S)
+
+    def run(self) -> None:
+        while (heard := self._heard.get()) is not None:
+            command, heard_at = heard
+            play = command.play if isinstance(command, Play | LiveBegin) else -1
+            try:
+                if isinstance(command, HnfError):
+                    raise command
+                self._player.do(command, heard_at)
+            except HnfError as error:
+                self._teller.say(Refused(play, " ".join(str(error).split())))
+            except Exception as error:  # a fault of ours must not silence the line
+                self._teller.say(Refused(play, f"it failed: {type(error).__name__}: {error}"))
 
 
 def _leave(_number: int, _frame: types.FrameType | None) -> None:

@@ -56,7 +56,8 @@ class LiveBegin:
 class Move:
     """The hand at time_s (its own clock) is at x_m, y_m on the surface and presses with force_n; 0 = lifted.
 
-    Ignored where nothing is touched live: it may have been on its way when that ended.
+    Ignored where nothing is touched live: it may have been on its way when that ended. The last one that comes while a
+    LiveBegin is still under way counts from its beginning.
     """
 
     time_s: float
@@ -105,7 +106,8 @@ class Swap:
 
 @dataclass(frozen=True)
 class Stop:
-    """Silence, softly; the device is given back."""
+    """Silence, softly and at once; the device is given back. A Play or LiveBegin that is still under way does not
+    begin: its Status says that it has ended."""
 
 
 @dataclass(frozen=True)
@@ -156,6 +158,11 @@ class Status:
     latency_p99_ms: float
     temperature_c: float | None
     problem: str
+
+    @classmethod
+    def over(cls, play: int) -> Status:
+        """Of what was stopped before it began."""
+        return cls(play, "ended", 0.0, 0.0, 0.0, 0, 0, 0, 0.0, 0.0, None, "")
 
 
 @dataclass(frozen=True)
