@@ -185,6 +185,26 @@ def test_answers_that_are_there_emit_what_answers_that_are_asked_for_do(monkeypa
     assert wanted.alpha.max() > 0.0
 
 
+@pytest.mark.parametrize("name", FORMS)
+def test_a_network_that_is_broken_is_never_a_number(name):
+    """NaN in what the head answers is NaN in what is emitted, by either way: a limit does not make it the loudest."""
+    field, condition = field_of(name), states(6, 30)
+    said = heads(
+        field.parameters, field.config.layers, np.ones((30, field.parameters["layer0.weight"].shape[1]), np.float32)
+    )
+    unbroken = evaluate(field, condition, said).alpha
+    for output in range(0, field.config.alpha_outputs, 7):
+        head = said[0].copy()
+        head[:, output] = np.nan
+        found = evaluate(field, condition, (head, said[1])).alpha
+        with plainly():
+            wanted = evaluate(field, condition, (head, said[1])).alpha
+        # Numpy's product of matrices carries NaN to every band of arc length; the kernel to those that hear the output.
+        assert np.isnan(wanted[np.isnan(found)]).all()
+        np.testing.assert_array_equal(found[~np.isnan(found)], unbroken[~np.isnan(found)])
+        assert output >= field.config.carriers.time_count or np.isnan(found[:, 0, output]).any()
+
+
 def test_a_table_answers_what_the_network_does():
     """At its own points exactly, between them nearer where it is finer, and once for a material that has no grain."""
     leather = find("leather")

@@ -95,7 +95,8 @@ void hnf_inputs(const hnf_tables *t, const hnf_emitter *e, const double *tokens,
     }
 }
 
-static inline double least(double a, double b) { return a < b ? a : b; }
+/* NaN where either is, as of numpy's minimum: a network that is broken is not to be the loudest of all. b: a number. */
+static inline double least(double a, double b) { return a > b ? b : a; }
 
 /* Power of the tones and their harmonics per arc band. gain: (harmonics, lines) logs; level: (2, lines) powers. room:
  * (2 * lines,). */
