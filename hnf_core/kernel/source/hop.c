@@ -12,6 +12,9 @@ static int64_t most_of(int64_t a, int64_t b) { return a > b ? a : b; }
 /* Toward plus infinity. */
 static int64_t shifted_up(int64_t value, int64_t level) { return -(-value >> level); }
 
+/* value << level, which is undefined in C of what is negative. */
+static int64_t shifted_back(int64_t value, int64_t level) { return value * ((int64_t)1 << level); }
+
 static int64_t kept_count(const hnf_carriers *c, int64_t level) { return (c->hop >> level) + 2 * c->margin[level]; }
 static int64_t kept_first(const hnf_carriers *c, int64_t first, int64_t level)
 {
@@ -33,7 +36,7 @@ static void kept(const hnf_carriers *c, int64_t first, int64_t level, int64_t lo
 {
     int64_t begin = kept_first(c, first, level), end = first + c->hop + (c->margin[level] << level);
     out->level = level;
-    out->start = shifted_up(most_of(low, begin), level) << level;
+    out->start = shifted_back(shifted_up(most_of(low, begin), level), level);
     out->count = most_of(shifted_up(least_of(high, end) - out->start, level), 0);
 }
 
