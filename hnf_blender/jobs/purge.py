@@ -83,6 +83,6 @@ def _is_old(session: Session, mesh: Any) -> bool:
     if owner is None:
         return False
     try:
-        return not tokens_are_there(owner, session.facts(owner))
+        return not tokens_are_there(session, owner)
     except HnfError:
         return False

@@ -22,7 +22,7 @@ from ..touch.jobs import Job, Session, gather_curves
 from ..touch.report import Report
 from ..touch.steps import bake_steps
 from ..touch.stored import judge, tokens_are_there
-from ..touch.tokens import by_mesh, face_tokens
+from ..touch.tokens import by_mesh, face_tokens, shared_sources
 from .messages import Began, Step
 from .order import BakedFile, Order, Refusal, Result, TokenFile, pack_tokens
 from .probe import probe_work
@@ -92,7 +92,7 @@ def is_done(session: Session, job: Job) -> bool:
     """The stroke's bake is fresh, and its surface carries its tokens."""
     fresh = judge(object_in(session.scene, job.curve_name), job).freshness is Freshness.FRESH
     surface = object_in(session.scene, job.object_name)
-    return fresh and tokens_are_there(surface, session.facts(surface))
+    return fresh and tokens_are_there(session, surface)
 
 
 def _scene(order: Order) -> tuple[Any, Any]:
@@ -119,7 +119,8 @@ def _write_tokens(session: Session, baked: Iterable[BakedStroke], folder: Path) 
         if obj.type != "MESH":
             continue
         file = f"{number:04d}.tokens"
-        write_bytes(folder / file, pack_tokens(face_tokens(obj.data, group)))
+        tokens = face_tokens(obj.data, group, shared_sources(session, obj))
+        write_bytes(folder / file, pack_tokens(tokens))
         yield TokenFile(
             name_in(session.scene, obj), session.surface_key(obj), tuple(each.stroke.name for each in group), file
         )

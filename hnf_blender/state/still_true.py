@@ -57,4 +57,4 @@ class StillTrue:
         with own_changes(view_layer):
             if self._session is None:
                 self._session = scene_session(scene, view_layer, Path())
-            return tokens_are_there(obj, self._session.facts(obj))
+            return tokens_are_there(self._session, obj)

@@ -12,8 +12,8 @@ from ..preview.stroke_bake import BAKE_PROPERTY, StrokeBake, load_bake, remove_b
 from ..state.session import Freshness, StrokeStatus
 from ..translations import tr
 from .inputs import Inputs
-from .jobs import Job, SurfaceFacts
-from .tokens import surface_source
+from .jobs import Job, Session
+from .tokens import shared_sources, surface_source
 
 INPUTS_PROPERTY = "hnf_inputs"
 """Beside the bake: what it was made from, part by part, so that a stale one can say why."""
@@ -78,11 +78,14 @@ def status_of(bake: StrokeBake, freshness: Freshness, why: str = "") -> StrokeSt
     )
 
 
-def tokens_are_there(obj: Any, facts: SurfaceFacts) -> bool:
-    """Does obj's mesh carry the tokens of its surface as it is? True also where it cannot carry any."""
+def tokens_are_there(session: Session, obj: Any) -> bool:
+    """Does obj's mesh carry the tokens of its surface as it is, or of another that has the same mesh? True also where
+    it cannot carry any. Raises SceneError where obj is hidden or has no surface."""
+    facts = session.facts(obj)
     if obj.type != "MESH" or obj.data.library is not None:
         return True
-    return bool(obj.data.get(SOURCE_PROPERTY) == surface_source(facts))
+    source = obj.data.get(SOURCE_PROPERTY)
+    return bool(source == surface_source(facts)) or source in shared_sources(session, obj)
 
 
 def _what_changed(obj: Any, job: Job, bake: StrokeBake) -> str:

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import contextlib
+from collections.abc import Iterator, Sequence, Set
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hnf_core.errors import FileError, SceneError
+from hnf_core.errors import FileError, HnfError, SceneError
 from hnf_core.files import content_hash
 from hnf_core.material.palette import Palette, build_palette
 from hnf_core.material.token import ENCODER_ID, LEVELS, split_encoders
 from hnf_core.scene.near import mesh_near
 from hnf_core.scene.patch import CAMERA_DISTANCE_M
 
+from ..bridge.scene_names import object_in
 from ..bridge.splat_cloud import cloud_of, read_cloud, write_point_tokens
 from ..bridge.splat_frame import cloud_frame
 from ..bridge.storage import UNBAKED, FaceTokens, PointTokens, read_tokens, write_tokens
+from ..props.scene import place_in
 from .bake import TouchedObject, encoder_of
 from .feel import BakedStroke
-from .jobs import SurfaceFacts
+from .jobs import Session, SurfaceFacts
 
 
 def by_mesh(strokes: Sequence[BakedStroke]) -> list[list[BakedStroke]]:
@@ -47,11 +50,12 @@ def store_tokens(strokes: Sequence[BakedStroke]) -> Iterator[str]:
             yield str(error)
 
 
-def face_tokens(mesh: Any, strokes: Sequence[BakedStroke]) -> FaceTokens:
+def face_tokens(mesh: Any, strokes: Sequence[BakedStroke], sources: Set[str] = frozenset()) -> FaceTokens:
     """Faces under the strokes' patches get their patch's token; of overlapping patches the last wins. Tokens that an
-    earlier bake left on the other faces stay as long as the mesh and its shaders are what they were then."""
+    earlier bake left on the other faces stay as long as the mesh and its shaders are what they were then. sources: of
+    other surfaces with this mesh (shared_sources), whose tokens stay too."""
     source = surface_source(strokes[0].touched)
-    earlier = _still_true(mesh, source)
+    earlier = _still_true(mesh, {source, *sources})
     count = len(mesh.polygons)
     index = np.full(count, UNBAKED, dtype=np.int32)
     confidence = np.zeros(count, dtype=np.float32)
@@ -114,14 +118,27 @@ def _roughness(palette: Palette, index: np.ndarray[Any, Any]) -> np.ndarray[Any,
     return np.asarray(np.append(np.sqrt(power), 0.0)[index], dtype=np.float32)
 
 
-def _still_true(mesh: Any, source: str) -> FaceTokens | None:
+def _still_true(mesh: Any, sources: Set[str]) -> FaceTokens | None:
     try:
         earlier = read_tokens(mesh)
     except FileError:  # damaged: this bake replaces it
         return None
-    return earlier if earlier is not None and earlier.source == source else None
+    return earlier if earlier is not None and earlier.source in sources else None
 
 
 def surface_source(surface: TouchedObject | SurfaceFacts) -> str:
     """Hash of what a surface's tokens are measured from."""
     return content_hash(surface.shape_hash, *surface.shader_hashes, surface.owner_hash)
+
+
+def shared_sources(session: Session, obj: Any) -> set[str]:
+    """surface_source of the other touched objects with obj's mesh. Linked duplicates (Alt D) may differ in scale and in
+    the materials of their own slots, and the mesh, which has room for the tokens of one source, serves them all."""
+    chosen = (each.hnf_stroke.surface for each in session.scene.objects if each.hnf_stroke.is_stroke)
+    touched = {*chosen, *(object_in(session.scene, name) for name in session.known)} - {None, obj}
+    sources = set()
+    for other in touched:
+        if other.data == obj.data and place_in(session.scene.objects, other) >= 0:
+            with contextlib.suppress(HnfError):  # one that is hidden says nothing
+                sources.add(surface_source(session.facts(other)))
+    return sources
