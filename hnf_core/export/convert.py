@@ -18,6 +18,9 @@ from .samples import rendered_rate
 from .shares import CLIPPED
 from .sidecar import sidecar_of, write_sidecar
 
+READ_AGAIN = "This file was read again by hnf. Files of this writer are checked in the tests against"
+"""How what is told of a file's checking begins: of this very file no more is true."""
+
 
 @dataclass(frozen=True)
 class Exported:
@@ -45,7 +48,7 @@ class Exported:
             "format": self.form.word,
             "full_scale_m_s2": self.options.full_scale_m_s2 if self.form.states_scale else None,
             "range_hz": list(self.options.range_hz) if scaled else None,
-            "checked": self.form.checked,
+            "checked": f"{READ_AGAIN} {self.form.checked}",
             "dropped": list(self.dropped),
             "loss": self.loss.to_json(),
         }

@@ -39,11 +39,11 @@ Fit = Callable[[Signal, ExportOptions], ExportOptions]
 
 @dataclass(frozen=True)
 class Format:
-    """word: as asked for. suffix: of its files, with the dot. what: it is, in a sentence. checked: against what its
-    files are validated, and what could not be checked. write, read: see above. scaled: its numbers are shares of a full
-    scale and of a range, and no m/s². surface: it has a place for what the stroke was drawn on. sampled: it holds the
-    waveform; else strength and frequency over time, and a waveform is made up when it is read. fit: what finds the full
-    scale in the signal itself, None = it is as told."""
+    """word: as asked for. suffix: of its files, with the dot. what: it is, in a sentence. checked: against what files
+    of its writer are checked in the tests, and what was not checked. write, read: see above. scaled: its numbers are
+    shares of a full scale and of a range, and no m/s². surface: it has a place for what the stroke was drawn on.
+    sampled: it holds the waveform; else strength and frequency over time, and a waveform is made up when it is read.
+    fit: what finds the full scale in the signal itself, None = it is as told."""
 
     word: str
     suffix: str
@@ -66,6 +66,7 @@ class Format:
         return self.scaled or self.fit is not None
 
 
+_RIFF = "scipy's reader; the rules are IBM's and Microsoft's RIFF specification"
 _LOFELT = "the rules of Lofelt's own reader (NiceVibrations, `core/datamodel/src/v1.rs`)"
 
 FORMATS: dict[str, Format] = {
@@ -73,20 +74,19 @@ FORMATS: dict[str, Format] = {
     for each in (
         Format(
             "wav", ".wav", "WAV, 32-bit float in m/s², at the signal's own rate",
-            "Microsoft's and IBM's RIFF specification; read again by scipy",
-            write_native, read_any_wav, scaled=False,
+            _RIFF, write_native, read_any_wav, scaled=False,
         ),
         Format(
             "wav8k", ".wav", "WAV for an actuator: 8 kHz, 16 bit, full scale as told",
-            "as wav", copy_writer(8000), read_any_wav,
+            _RIFF, copy_writer(8000), read_any_wav,
         ),
         Format(
             "wav48k", ".wav", "WAV for a sound card: 48 kHz, 16 bit, full scale as told",
-            "as wav", copy_writer(48000), read_any_wav,
+            _RIFF, copy_writer(48000), read_any_wav,
         ),
         Format(
             LISTEN, ".wav", "WAV to listen to, for no actuator: 48 kHz, 16 bit, as loud as it goes without clipping",
-            "as wav", write_listen, read_any_wav, scaled=False, fit=loud_options,
+            _RIFF, write_listen, read_any_wav, scaled=False, fit=loud_options,
         ),
         Format(
             "haptic", ".haptic", "Meta Haptics (Lofelt) 1.0.0: strength and frequency over time",
@@ -111,16 +111,16 @@ FORMATS: dict[str, Format] = {
         ),
         Format(
             "glb", ".glb", "glTF: the touched mesh, what is baked on it as MPEG_haptic_material, and the signal",
-            "Khronos's glTF validator (no error, no warning) and Blender's importer; the extension against its public "
+            "Blender's importer and, where it is installed, Khronos's glTF validator; the extension against its public "
             "schemas, which do not say how pixels count",
             write_glb, read_glb, scaled=False, surface=True,
         ),
         Format(
-            "csv", ".csv", "a table time_s,acceleration_m_s2", "read again by numpy",
+            "csv", ".csv", "a table time_s,acceleration_m_s2", "numpy.loadtxt",
             write_csv, read_csv, scaled=False,
         ),
         Format(
-            "npz", ".npz", "numpy arrays, without pickle", "read again by numpy.load",
+            "npz", ".npz", "numpy arrays, without pickle", "numpy.load",
             write_npz, read_npz, scaled=False,
         ),
     )
