@@ -75,7 +75,8 @@ class Emitter:
         after = int(counts["direction_at"]) + _ACTION + time_bands + _SCALARS
         reach = knot + (knot_share > 0.0)
         fits = self.carriers == time_bands + tables.bands and self.inputs == after
-        fits &= tables.token_size <= self.token_size <= counts["fixed_at"] <= counts["direction_at"] - self.fixed
+        # One after another: what lies between them would stay as the memory was.
+        fits &= tables.token_size <= self.token_size == counts["fixed_at"] == counts["direction_at"] - self.fixed
         fits &= len(knot) == len(knot_share) == tables.bands and len(token_scale) == self.token_size
         fits &= bool(knot.min() >= 0 and time_bands + reach.max() + gains < self.outputs)
         fits &= len(harmonic_start) == len(harmonic_shift)

@@ -78,9 +78,11 @@ def plainly() -> Iterator[None]:
         _plain.asked = before
 
 
-def address(array: NDArray[Any], dtype: Any) -> int:
+def address(array: NDArray[Any], dtype: Any, *, written: bool = False) -> int:
     """Where an array's numbers begin. Raises TypeError where they are of another type or not one piece of memory: C
-    would read something else."""
+    would read something else; and where C is to write and nobody may."""
+    if written and not array.flags.writeable:
+        raise TypeError("the kernel would write into an array that is read-only")
     if array.dtype != dtype or not array.flags.c_contiguous:
         raise TypeError(f"the kernel takes contiguous {np.dtype(dtype)}, not {array.dtype} of strides {array.strides}")
     return int(array.__array_interface__["data"][0])

@@ -38,14 +38,15 @@ def real_waves(
     """Rows `which` of out (B, size): 2 Re Σ_k X_k e^{2πikn/size}, times window (size,).
 
     bins, starts: as in band_waves.WavePlan. slow: (2W, size / 2 + 1) cosines of 0 … W − 1 turns, then sines; W at least
-    the widest band. turns: cosine and sine (bands, size / 2 + 1) of each band's first bin.
+    the widest band. turns: cosine and sine (bands, size / 2 + 1) of each band's first bin. Raises ValueError where
+    these do not fit together, TypeError where out is read-only.
     """
     size = out.shape[1]
-    _check(out, slow, turns, window, len(which), bins, starts)
+    _check(out, slow, turns, window, which, bins, starts)
     kernel.hnf_real_waves(
         address(bins, np.complex128), address(starts, np.int64), address(which, np.int64), len(which), len(slow) // 2,
         size, address(slow, np.float32), *(address(turn, np.float32) for turn in turns), address(window, np.float32),
-        address(out, np.float32),
+        address(out, np.float32, written=True),
     )  # fmt: skip
 
 
@@ -54,22 +55,25 @@ def complex_waves(
     out: NDArray[np.complex64],
 ) -> None:  # fmt: skip
     """out (B, size): Σ_k X_k e^{2πi(k − middle)n/size}, complex; the turns are those of each first bin less the
-    middle."""
+    middle. Raises as real_waves()."""
     bands, size = out.shape
-    _check(out, slow, turns, window, bands, bins, starts)
+    _check(out, slow, turns, window, np.arange(bands), bins, starts)
     kernel.hnf_complex_waves(
         address(bins, np.complex128), address(starts, np.int64), bands, len(slow) // 2, size,
         address(slow, np.float32), *(address(turn, np.float32) for turn in turns), address(window, np.float32),
-        address(out, np.complex64),
+        address(out, np.complex64, written=True),
     )  # fmt: skip
 
 
 def _check(
-    out: NDArray[Any], slow: Float32, turns: tuple[Float32, Float32], window: Float32, bands: int, bins: Complex,
+    out: NDArray[Any], slow: Float32, turns: tuple[Float32, Float32], window: Float32, which: Starts, bins: Complex,
     starts: Starts,
 ) -> None:  # fmt: skip
     rows, size = out.shape
     half = size // 2 + 1
-    tables = size % TILE == 0 and slow.shape[1] == half and all(turn.shape == (bands, half) for turn in turns)
-    if not tables or len(window) != size or rows != len(starts) - 1 or len(bins) != starts[-1] - starts[0]:
+    tables = size % TILE == 0 and slow.shape[1] == half and all(turn.shape == (len(which), half) for turn in turns)
+    widths = np.diff(starts)
+    fits = rows == len(widths) and len(bins) == starts[-1] - starts[0] and bool((widths >= 0).all())
+    fits = fits and (not len(which) or bool(0 <= which.min() <= which.max() < rows))
+    if not tables or len(window) != size or not fits or widths[which].max(initial=0) > len(slow) // 2:
         raise ValueError(f"{len(bins)} bins as waves of {rows} × {size} samples, from tables of {slow.shape[1]}")

@@ -246,6 +246,17 @@ def test_what_it_would_misread_never_reaches_it():
     for count, size in ((5, 64), (6, 96), (6, 48)):
         with pytest.raises(ValueError, match="waves"):
             compiled_waves(none, np.ones(count, complex), *given, np.ones((2, size), np.float32))
+    for starts, which in (
+        (plan.starts, [0, 2]), (plan.starts, [-1, 0]),  # no such band
+        (np.array([3, 10, 9]), plan.narrow),  # ends before it begins
+        (np.array([3, 4, 9]), plan.narrow),  # wider than the tables of slow turns
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match="waves"):
+            compiled_waves(none, np.ones(6, complex), starts, np.array(which), *given[2:], np.ones((2, 64), np.float32))
+    sealed = np.ones((2, 64), np.float32)
+    sealed.setflags(write=False)
+    with pytest.raises(TypeError, match="read-only"):
+        compiled_waves(none, np.ones(6, complex), *given, sealed)
     values, one = np.ones((5, 3), np.float32), np.ones((2, 1))
     for row in ([[0], [4]], [[-1], [0]], [[0, 1], [0, 1]], [0, 1]):
         with pytest.raises(ValueError, match="rows"):

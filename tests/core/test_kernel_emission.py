@@ -21,7 +21,7 @@ from hnf_core.field.network import heads
 from hnf_core.field.weights import load_field
 from hnf_core.kernel import emission, halves
 from hnf_core.kernel.contact import TOUCH
-from hnf_core.kernel.emission import MOTION, Expected, OneState
+from hnf_core.kernel.emission import MOTION, Emitter, Expected, OneState
 from hnf_core.kernel.library import kernel, plainly, why_not
 from hnf_core.material.library import find, load_library
 from hnf_core.material.mechanics import Mechanics
@@ -146,6 +146,14 @@ def test_what_the_kernel_would_misread_never_reaches_it():
             emission.answered(none, emitter, *wrong)
     with pytest.raises(ValueError, match="expected"):
         emission.emitted(none, emitter, head, motion, Expected.empty(3, emitter))
+    counts = {name: getattr(emitter.struct, name) for name in emission._COUNTS + emission._NUMBERS}
+    arrays = dict(zip(emission._ARRAYS, emitter._kept, strict=True))
+    derived = {"token_size", "time_bands", "carriers", "harmonics"}
+    told = {**arrays, **{name: value for name, value in counts.items() if name not in derived}}
+    Emitter(emitter.tables, **told)
+    for gap in ({"fixed_at": told["fixed_at"] + 1}, {"fixed": told["fixed"] - 1}, {"fixed": told["fixed"] + 1}):
+        with pytest.raises(ValueError, match="inputs"):
+            Emitter(emitter.tables, **told | gap)
     for change in ({"arc_knots": 99}, {"line_gains": False, "hidden": 8}):
         fewer = replace(config, **change)
         assert emitter_of(fewer, skip, "pen", 6.0).outputs == fewer.alpha_outputs
