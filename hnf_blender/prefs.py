@@ -23,7 +23,7 @@ class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy h
     )
     default_probe: bpy.props.EnumProperty(
         name="Probe of new strokes",
-        description="What touches the surface where nothing else is said",
+        description="Default probe for new strokes",
         items=[(name, name.capitalize(), f"Touch with the {name}") for name in PROBES],
         default=DEFAULTS.default_probe,
     )
@@ -35,7 +35,7 @@ class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy h
     )
     external_python: bpy.props.StringProperty(
         name="External Python",
-        description="A Python outside Blender (3.11 or newer) that has torch, to learn materials from recordings. "
+        description="A Python outside Blender (3.11 or newer) that has PyTorch, to learn materials from recordings. "
         "Everything else runs without it",
         subtype="FILE_PATH",
         default=DEFAULTS.external_python,
@@ -59,7 +59,7 @@ class HnfPreferences(bpy.types.AddonPreferences):  # type: ignore[misc]  # bpy h
         row.label(text="Asset library")
         row.operator("hnf.assets_add", text="Add")
         row.operator("hnf.assets_remove", text="Remove")
-        layout.label(text="No torch needed: drawing, baking, preview and export run in Blender as it is", icon="INFO")
+        layout.label(text="Optional: only Learn a Material… needs an external Python with PyTorch", icon="INFO")
         draw_outside_python(layout, self)
 
 

@@ -92,5 +92,5 @@ def why_untouched(context: Any, region: Any, at: tuple[float, float]) -> str:
     if seen.is_instance:
         said = tr("'{name}' shows instances: select it, Object > Apply > Make Instances Real, then press again")
     else:
-        said = tr("'{name}' is no mesh yet: select it, Object > Convert > Mesh, then press again")
+        said = tr("'{name}' is not a mesh: select it, Object > Convert > Mesh, then press again")
     return said.format(name=seen.name)

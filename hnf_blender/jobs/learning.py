@@ -28,7 +28,7 @@ from .records import to_text
 
 WORKER = Path(__file__).with_name("learn_worker.py")
 TITLE = "Learn a material"
-KILLED = "Nothing was changed. Learn it again with the same choices: it goes on where it was. If it happens again, "
+KILLED = "Nothing was changed. Learn it again with the same choices to resume. If it happens again, "
 KILLED += "close other programs (memory)."
 
 
@@ -66,7 +66,7 @@ class Learning(ChildJob):
 
     def cancel(self) -> LastJob:
         """Stop now; nothing is changed, and what was learned so far waits for the same choices."""
-        said = tr("Learning cancelled. Nothing was changed; the same choices go on where it was.")
+        said = tr("Learning cancelled. Nothing was changed; run it again with the same choices to resume.")
         return self._end(LastJob(True, said))
 
     def clean(self) -> None:
@@ -133,12 +133,12 @@ def give_to(definition: MaterialFile, slot: Slot, kept: Path) -> str:
     obj = _free(slot)
     if obj is not None:
         material = give(obj, slot.slot, definition)
-        said = tr("{object}: material '{material}' now feels like {name}, as it was learned")
+        said = tr("{object}: material '{material}' now feels like {name}, as learned")
         text = said.format(object=obj.name, material=material.name, name=definition.name)
     else:
         material = new_material(definition)
         material.use_fake_user = True  # it belongs to no slot yet, and is to outlive a save
-        text = tr("Learned: the new material '{material}' feels like it. Put it in a slot, or open {file}").format(
+        text = tr("Learned: new material '{material}'. Put it in a slot, or open {file}").format(
             material=material.name, file=kept
         )
     STATE.dirty.add(material.name)

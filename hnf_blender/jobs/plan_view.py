@@ -54,14 +54,14 @@ def make_plan(scene: Any, view_layer: Any) -> PlanView:
         lines.append(PlanLine("failed", stroke.format(name=failure.stroke), failure.why))
     lines += [PlanLine("skipped", each.what, tr(each.why)) for each in found.skipped]
     lines += [PlanLine("note", note, "") for note in found.notes]
-    said = tr("material '{name}': it has no relief; one is estimated from its picture.")
+    said = tr("material '{name}': no relief in its shader; one is estimated from its picture.")
     lines += [PlanLine("note", said.format(name=name), "") for name in estimated]
     return PlanView(tuple(lines), seconds, _bytes_after(session, found, needed), scene.name)
 
 
 def _why(status: StrokeStatus) -> str:
     if status.freshness is Freshness.FRESH:
-        return tr("Its surface does not carry its tokens.")
+        return tr("Its surface has no baked tokens.")
     return status.why
 
 

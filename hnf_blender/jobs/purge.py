@@ -29,7 +29,7 @@ class Freed:
 
     @property
     def message(self) -> str:
-        removed = tr("{size} of touch data removed.").format(size=byte_text(self.bytes))
+        removed = tr("{size} of baked data removed.").format(size=byte_text(self.bytes))
         done = removed if self.bytes else tr("There was nothing to remove.")
         return " ".join((done, *self.left))
 

@@ -107,7 +107,7 @@ class Bake(ChildJob):
             if self._result.probed:
                 return looked(take_probe(self.folder))
             self._committing = commit_steps(self._result, self.folder, self._prepared.place)
-            self._show(Step("comparing with the scene", 0, 1))
+            self._show(Step("comparing scene", 0, 1))
         if isinstance(message, Began):
             self._working_since = time.monotonic()
         if isinstance(message, Step):
@@ -232,10 +232,10 @@ def told(result: Result, committed: Committed, seconds: float) -> LastJob:
         said = tr("1 close-up") if result.close_ups == 1 else tr("{count} close-ups")
         parts.append(said.format(count=result.close_ups))
     if result.fresh:
-        parts.append(tr("{count} fresh already").format(count=result.fresh))
+        parts.append(tr("{count} already up to date").format(count=result.fresh))
     message = ", ".join(parts) + "."
     if result.fresh and not committed.strokes and not problems:
-        message = tr("Nothing to bake: {strokes} fresh already.").format(strokes=_strokes(result.fresh))
+        message = tr("Nothing to bake: {strokes} already up to date.").format(strokes=_strokes(result.fresh))
     if problems:
         first, left = problems[0].why, len(problems) - 1
         said = tr("(and 1 problem more)") if left == 1 else tr("(and {count} problems more)")

@@ -51,7 +51,7 @@ class HNF_OT_output_choose(bpy.types.Operator):  # type: ignore[misc]  # noqa: N
 class HNF_OT_output_other(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.output_other"
     bl_label = "Another Address"
-    bl_description = "Play on a device that no search finds, such as a program that listens to OSC"
+    bl_description = "Play on a device that the search does not find, such as a program that listens to OSC"
 
     target: bpy.props.StringProperty(
         name="Target",

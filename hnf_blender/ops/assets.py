@@ -30,7 +30,7 @@ class HNF_OT_assets_add(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     @classmethod
     def poll(cls, context: Any) -> bool:
         if not FOLDER.is_dir():
-            return greyed(cls, "This build of the add-on has no assets. Install the zip from its releases")
+            return greyed(cls, "This copy of the add-on has no assets: run make assets in its source folder")
         if asset_library(context) is not None:
             return greyed(cls, "The asset library is in the preferences already")
         return True

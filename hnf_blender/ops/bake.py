@@ -21,8 +21,8 @@ from .modal_job import ModalJob, no_job_runs
 
 class HNF_OT_plan(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.plan"
-    bl_label = "Plan"
-    bl_description = "Say what a bake would do, what is fresh, what is left out and why. Nothing is rendered"
+    bl_label = "Show Plan"
+    bl_description = "Show what a bake would do, what is up to date, what is skipped and why. Nothing is rendered"
 
     @classmethod
     def poll(cls, context: Any) -> bool:
@@ -46,13 +46,12 @@ class HNF_OT_bake(ModalJob, bpy.types.Operator):  # type: ignore[misc]  # noqa: 
     bl_idname = "hnf.bake"
     bl_label = "Bake Touch"
     bl_description = (
-        "Look closely at what the strokes touch and keep what is needed to hear them. Goes on beside your work; "
-        "Esc cancels"
+        "Render close-ups along the strokes and keep what is needed to hear them. You can keep working; Esc cancels"
     )
     bl_options = {"UNDO"}  # noqa: RUF012  # Blender wants a set
 
     only_active: bpy.props.BoolProperty(
-        name="Only the active stroke", description="Leave the other strokes as they are", default=False
+        name="Only the active stroke", description="Leave the other strokes unchanged", default=False
     )
 
     @classmethod
@@ -123,15 +122,13 @@ class HNF_OT_bake_cancel(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
 
 class HNF_OT_purge(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.purge"
-    bl_label = "Purge Touch Data"
-    bl_description = (
-        "Remove baked data from the file. Strokes and choices of materials stay; a bake makes the rest again"
-    )
+    bl_label = "Remove Baked Data"
+    bl_description = "Remove baked data from the file. Strokes and material choices stay; a new bake restores the rest"
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
 
     what: bpy.props.EnumProperty(
         name="Remove",
-        description="Which baked data go",
+        description="What to remove",
         items=[
             ("STALE", "What is stale", "Bakes that no longer fit their stroke, and tokens of surfaces that changed"),
             ("ALL", "Everything baked", "All bakes of all strokes, and the tokens and palettes of all meshes"),

@@ -52,7 +52,7 @@ def collect() -> tuple[tuple[str, str], ...]:
         ("Add-on folder", str(Path(__file__).resolve().parents[1])),
         ("Cache folder", str(cache)),
         ("Cache size", byte_text(folder_bytes(cache))),
-        ("Touch data in this file", byte_text(touch_bytes())),
+        ("Baked data in this file", byte_text(touch_bytes())),
         ("External Python", _outside()),
     ]
     if STATE.last_job is not None:
@@ -106,7 +106,7 @@ def _kernel() -> str:
     """Whether the inner loops of synthesis are compiled: numpy does the same in about twice the time."""
     from hnf_core.kernel.library import kernel, why_not
 
-    return "at work" if kernel() is not None else f"numpy stands in for it ({why_not()})"
+    return "at work" if kernel() is not None else f"using slower numpy version ({why_not()})"
 
 
 def _field_identity() -> str:
@@ -140,7 +140,7 @@ def _map_weights() -> str:
 
 class HNF_OT_diagnose(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types, Blender's naming
     bl_idname = "hnf.diagnose"
-    bl_label = "Look Closer"
+    bl_label = "Show Details"
     bl_description = "Collect versions, paths, sizes and the last error, and show them here"
     bl_options = {"REGISTER"}  # noqa: RUF012  # Blender reads a set
 
@@ -158,7 +158,7 @@ class HNF_OT_diagnose_copy(bpy.types.Operator):  # type: ignore[misc]  # noqa: N
     def execute(self, context: Any) -> set[str]:
         STATE.diagnosis = collect()
         context.window_manager.clipboard = as_text(STATE.diagnosis)
-        self.report({"INFO"}, tr("Report copied: paste it where you ask for help"))
+        self.report({"INFO"}, tr("Report copied: paste it when you report a problem"))
         return {"FINISHED"}
 
 

@@ -18,12 +18,12 @@ from .active import AS_SET, make_shown, one_line, probe_of
 from .greyed import greyed
 
 PROBE_ITEMS = [
-    (AS_SET, "As in the preferences", "The probe that the preferences name for new strokes"),
+    (AS_SET, "Default", "The default probe set in the preferences"),
     *((name, name.capitalize(), f"Touch with the {name}") for name in PROBES),
 ]
 TIMINGS = (
-    ("HAND", "As drawn", "The stroke takes the time that the hand took: it becomes keyframes of progress"),
-    ("SPEED", "Constant", "One speed from end to end, whatever the hand did; change it later in the Time panel"),
+    ("HAND", "As drawn", "The stroke takes as long as your hand did: its timing becomes progress keys"),
+    ("SPEED", "Constant", "One speed from end to end, however fast you draw; change it later in the Time panel"),
 )
 
 
@@ -31,7 +31,7 @@ class HnfPenSample(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no
     """One place of the pen. Python callers give every field, `name` too."""
 
     location: bpy.props.FloatVectorProperty(name="Location", description="In world coordinates", size=3)
-    pressure: bpy.props.FloatProperty(name="Pressure", description="0 to 1; 1 throughout is a mouse", default=1.0)
+    pressure: bpy.props.FloatProperty(name="Pressure", description="0 to 1; 1 throughout means a mouse", default=1.0)
     time: bpy.props.FloatProperty(name="Time", description="Seconds since the first sample")
     touching: bpy.props.BoolProperty(name="Touching", description="On the surface", default=True)
 
@@ -40,8 +40,8 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
     bl_idname = "hnf.stroke_draw"
     bl_label = "Draw Touch Stroke"
     bl_description = (
-        "Press on a surface and drag. Pen pressure becomes force in newtons, the hand's timing becomes progress. "
-        "ESC or right click gives up"
+        "Press on a surface and drag. Pen pressure becomes force in newtons, your hand's timing becomes progress "
+        "keys. Esc or right click cancels"
     )
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012  # Blender reads a set
 
@@ -74,7 +74,7 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
     )
     force_n: bpy.props.FloatProperty(
         name="Mouse",
-        description="Normal force in newtons where there is no pen pressure",
+        description="Normal force in newtons when there is no pen pressure",
         default=1.0,
         min=0.01,
         max=FORCE_MAX_N,
@@ -95,7 +95,7 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
     )
     smoothing_ms: bpy.props.FloatProperty(
         name="Smoothing",
-        description="Milliseconds over which the tremble of the hand and the steps of the pixels are evened out",
+        description="Evens out hand tremble and pixel steps over this many milliseconds",
         default=20.0,
         min=0.0,
         max=500.0,
@@ -186,7 +186,7 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
     def _finish(self, context: Any) -> set[str]:
         pen = self._pen
         if pen.is_click:
-            self.report({"WARNING"}, tr("A click is no stroke: press, drag over the surface, release"))
+            self.report({"WARNING"}, tr("Drag to draw a stroke; a click is too short"))
             return {"CANCELLED"}
         self.surface = pen.surface
         self.stroke.clear()

@@ -27,7 +27,7 @@ FULL_SCALE = 0.9
 class HNF_OT_import_material(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types, Blender's naming
     bl_idname = "hnf.import_material"
     bl_label = "Touch Material (.hnf)"
-    bl_description = "Make a surface feel like the material of a .hnf file. The choice is locked: no bake overwrites it"
+    bl_description = "Make a surface feel like the material in a .hnf file. The choice is locked: no bake overwrites it"
     bl_options = UNDOABLE
 
     filepath: bpy.props.StringProperty(
@@ -35,7 +35,7 @@ class HNF_OT_import_material(bpy.types.Operator):  # type: ignore[misc]  # noqa:
     )
     filter_glob: bpy.props.StringProperty(default="*.hnf", options={"HIDDEN"})
     target: bpy.props.StringProperty(
-        name="Object", description="What gets it; empty: the active object", options={"SKIP_SAVE"}
+        name="Object", description="Object that receives it; empty: the active object", options={"SKIP_SAVE"}
     )
     slot: bpy.props.IntProperty(
         name="Slot", description="Material slot, counted from 0; −1: the active one", default=-1, options={"SKIP_SAVE"}

@@ -22,14 +22,15 @@ class HNF_OT_export(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # 
     bl_idname = "hnf.export"
     bl_label = "Export"
     bl_description = (
-        "Write into the export folder, in the format chosen, and say what was lost; stale strokes are refused"
+        "Write into the export folder in the chosen format and report what was lost. Strokes that need a new bake "
+        "are skipped with a message"
     )
 
     all: bpy.props.BoolProperty(
         name="All strokes", description="Every stroke that is not muted, not the active one alone", default=False
     )
     format: bpy.props.EnumProperty(
-        name="Format", description="What is written; if not given, what the panel says", items=FORMAT_ITEMS
+        name="Format", description="File format; if not given, the one chosen in the panel", items=FORMAT_ITEMS
     )
 
     @classmethod
@@ -82,8 +83,10 @@ class HNF_OT_export(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # 
 
 class HNF_OT_export_copy(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.export_copy"
-    bl_label = "Copy Losses"
-    bl_description = "Copy what the last export cost to the clipboard: level, octave by octave, and what is left out"
+    bl_label = "Copy Export Report"
+    bl_description = (
+        "Copy what the last export lost to the clipboard: level, octave by octave, and what the format cannot hold"
+    )
 
     @classmethod
     def poll(cls, context: Any) -> bool:

@@ -14,7 +14,7 @@ from ..props.stroke import FORCE_MAX_N
 from ..translations import tr
 from .active import one_line
 from .greyed import greyed
-from .strokes import UNDOABLE, needs_stroke
+from .strokes import UNDOABLE, needs_editable, needs_stroke, refuse_linked
 
 FORCE = "hnf_stroke.force"
 
@@ -44,7 +44,7 @@ class HNF_OT_stroke_key_force(bpy.types.Operator):  # type: ignore[misc]  # noqa
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        return needs_stroke(cls, context)
+        return needs_editable(cls, context)
 
     def execute(self, context: Any) -> set[str]:
         stroke, frame = active_stroke(context), float(context.scene.frame_current_final)
@@ -66,7 +66,7 @@ class HNF_OT_stroke_key_force(bpy.types.Operator):  # type: ignore[misc]  # noqa
 class HNF_OT_stroke_move(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.stroke_move"
     bl_label = "Begin at Another Frame"
-    bl_description = "Move the active stroke in time: its start, and the keyframes of its force and progress with it"
+    bl_description = "Move the active stroke in time: its start, with the keyframes of its force and progress"
     bl_options = UNDOABLE
 
     frame: bpy.props.FloatProperty(
@@ -75,7 +75,7 @@ class HNF_OT_stroke_move(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        return needs_stroke(cls, context)
+        return needs_editable(cls, context)
 
     def invoke(self, context: Any, _event: Any) -> set[str]:
         self.frame = active_stroke(context).hnf_stroke.start
@@ -98,12 +98,12 @@ class HNF_OT_stroke_move(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
 class HNF_OT_stroke_copy_force(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.stroke_copy_force"
     bl_label = "Copy Force to Selected"
-    bl_description = "Give the active stroke's force curve to the other selected strokes"
+    bl_description = "Copy the active stroke's force curve to the other selected strokes"
     bl_options = UNDOABLE
 
     fit_time: bpy.props.BoolProperty(
         name="Fit to each stroke's duration",
-        description="Stretch the curve to as long as each stroke takes; off: the same seconds from its start",
+        description="Stretch the curve to each stroke's duration; off: second by second from its start",
         default=True,
     )
 
@@ -112,7 +112,7 @@ class HNF_OT_stroke_copy_force(bpy.types.Operator):  # type: ignore[misc]  # noq
         if not needs_stroke(cls, context):
             return False
         if not other_strokes(context):
-            return greyed(cls, "Select the strokes that are to get the force too; the active stroke gives it")
+            return greyed(cls, "Select the strokes to copy the force to; it is copied from the active stroke")
         return True
 
     def execute(self, context: Any) -> set[str]:
@@ -121,6 +121,7 @@ class HNF_OT_stroke_copy_force(bpy.types.Operator):  # type: ignore[misc]  # noq
         given, done = active_stroke(context), []
         for stroke in other_strokes(context):
             try:
+                refuse_linked(stroke, "Make it local or override it (Object > Library Override).")
                 copy_force(given, stroke, context.scene, metres_per_unit(context.scene), fit_time=self.fit_time)
             except HnfError as error:
                 self.report({"WARNING"}, one_line(error))
@@ -128,7 +129,7 @@ class HNF_OT_stroke_copy_force(bpy.types.Operator):  # type: ignore[misc]  # noq
             done.append(stroke.name)
         if not done:
             return {"CANCELLED"}
-        said = tr("The force of {name} went to {others}")
+        said = tr("Force of {name} copied to {others}")
         self.report({"INFO"}, said.format(name=given.name, others=", ".join(done)))
         return {"FINISHED"}
 

@@ -27,7 +27,7 @@ EFFORTS = {"QUICK": (60.0, 10), "STANDARD": (480.0, 40)}
 """Effort → seconds of strokes where a data set holds models, and epochs at most."""
 KINDS = [
     ("simulated", "Simulated", "The contact simulator on a material of the library: needs no recordings"),
-    ("own", "Your Own", "A folder with a CSV table for each stroke: time, acceleration and, best, speed and force"),
+    ("own", "Your Own", "A folder with a CSV table for each stroke: time, acceleration and preferably speed and force"),
     ("hatt", "HaTT", "Your copy of the Penn Haptic Texture Toolkit: models, recordings or both"),
     ("cluster", "Cluster", "Your copy of the Cluster Haptic Texture Database"),
     ("lmt", "LMT", "Your copy of an LMT haptic texture database. Speed and force were not recorded"),
@@ -42,28 +42,28 @@ class Choices:
 
     kind: bpy.props.EnumProperty(name="Recordings", description="Where the strokes come from", items=KINDS)
     folder: bpy.props.StringProperty(
-        name="Folder", description="That the recordings lie in", subtype="DIR_PATH", options={"SKIP_SAVE"}
+        name="Folder", description="Folder with the recordings", subtype="DIR_PATH", options={"SKIP_SAVE"}
     )
     name: bpy.props.StringProperty(
         name="Material",
-        description="As the recordings call it, such as ABS Plastic; of your own, the folder of its tables",
+        description="Its name in the recordings, such as ABS Plastic; for your own, the folder with its tables",
     )
     library: bpy.props.EnumProperty(
         name="Material", description="Material of the library to simulate", items=listed_library
     )  # fmt: skip
     effort: bpy.props.EnumProperty(
         name="Effort",
-        description="How long it may take. Times are of one core with nothing else to do",
+        description="How long it may take. Times are for one otherwise idle CPU core",
         items=[
             (
                 "QUICK",
                 "Quick",
-                "Ten epochs, from a minute of strokes: about 15 s, simulated half a minute. To see that it works",
+                "Ten epochs on a minute of strokes: about 15 s, or 30 s if simulated. To see that it works",
             ),
             (
                 "STANDARD",
                 "Standard",
-                "Up to forty epochs, from eight minutes of strokes: about half a minute, simulated three",
+                "Up to forty epochs on eight minutes of strokes: about 30 s, or 3 min if simulated",
             ),
         ],
         default="STANDARD",
@@ -75,10 +75,12 @@ def can_learn(operator: Any) -> bool:
     if not no_job_runs(operator):
         return False
     if not python_path():
-        return greyed(operator, "Name an external Python in the add-on's preferences first")
+        return greyed(operator, "Set an external Python in the add-on's preferences first")
     found = STATE.outside
     if found is not None and found.problem and bpy.path.abspath(found.path) == python_path():
-        return greyed(operator, "The external Python lacks something: the add-on's preferences say what to type")
+        return greyed(
+            operator, "The external Python lacks a package: the add-on's preferences show the command to install it"
+        )
     return True
 
 
@@ -104,8 +106,8 @@ class HNF_OT_learn(Choices, bpy.types.Operator):  # type: ignore[misc]  # noqa: 
     bl_idname = "hnf.learn"
     bl_label = "Learn a Material…"
     bl_description = (
-        "Train a field on recordings of a real material, or on simulated ones, in the external Python, and give it to "
-        "the active slot. Goes on beside your work; Esc cancels"
+        "Train a field on recordings of a real material, or on simulated ones, in the external Python, and give it "
+        "to the active slot. You can keep working; Esc cancels"
     )
 
     @classmethod
@@ -131,7 +133,8 @@ class HNF_OT_learn(Choices, bpy.types.Operator):  # type: ignore[misc]  # noqa: 
             layout.prop(self, "folder")
             layout.prop(self, "name")
         layout.prop(self, "effort")
-        text = tr("Licence of what is learned: {licence}").format(licence=LICENCES[self.kind])
+        licence = tr("yours (your own recordings)") if self.kind == "own" else LICENCES[self.kind]
+        text = tr("Licence: {licence}").format(licence=licence)
         column = layout.column(align=True)
         column.scale_y = 0.8
         for place, line in enumerate(wrapped(text, int((DIALOG_PX - MARGIN_PX) / CHARACTER_PX))):

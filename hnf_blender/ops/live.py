@@ -25,15 +25,15 @@ from .greyed import greyed
 if TYPE_CHECKING:
     from ..state.still_true import StillTrue
 
-NOT_LIVE = "Through Blender's own sound nothing can be played live: install sounddevice"
+NOT_LIVE = "Live Touch cannot play through Blender's own sound: install sounddevice"
 
 
 class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types
     bl_idname = "hnf.live_touch"
     bl_label = "Live Touch"
     bl_description = (
-        "Drag over a surface and feel it at once: pen pressure becomes force in newtons, the hand's way becomes speed "
-        "in mm/s. Nothing is baked or kept. ESC ends"
+        "Drag over a surface and feel it at once: pen pressure becomes force in newtons, your hand's motion becomes "
+        "speed in mm/s. Nothing is baked or kept. Esc ends"
     )
 
     @classmethod
@@ -58,7 +58,7 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
             return {"CANCELLED"}
         if not self._begin(context):
             return {"CANCELLED"}
-        context.workspace.status_text_set(tr("Drag over a surface to feel it.  ESC or right click: end"))
+        context.workspace.status_text_set(tr("Drag over a surface to feel it.  Esc or right click: end"))
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 

@@ -14,8 +14,9 @@ from ..props.scene import active_stroke
 from ..state.session import STATE
 from ..translations import tr
 from .greyed import greyed
+from .strokes import UNDOABLE, needs_editable
 
-UNDOABLE = {"REGISTER", "UNDO"}
+ACRONYMS = {"Eva": "EVA"}
 
 
 @lru_cache(maxsize=1)
@@ -35,8 +36,8 @@ def listed_library(_properties: Any, _context: Any) -> tuple[tuple[str, str, str
 
 
 def spoken(name: str) -> str:
-    """A library name for people: "oak-wood" → "Oak wood"."""
-    return name.replace("-", " ").capitalize()
+    """A library name for people: "oak-wood" → "Oak wood", "eva-foam" → "EVA foam"."""
+    return " ".join(ACRONYMS.get(word, word) for word in name.replace("-", " ").capitalize().split(" "))
 
 
 def felt_object(context: Any) -> Any:
@@ -64,7 +65,7 @@ class HNF_OT_suggest(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  #
     bl_label = "Suggest Materials"
     bl_description = (
         "Rank the library by the names, pictures and shader values of this object's materials, and by their relief "
-        "where a place was examined. Renders nothing and chooses nothing"
+        "if a place was examined. Renders nothing and chooses nothing"
     )
     bl_options = {"REGISTER"}  # noqa: RUF012  # Blender reads a set
 
@@ -74,7 +75,7 @@ class HNF_OT_suggest(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  #
         if obj is None:
             return greyed(cls, "Select a mesh, or a stroke that has a surface")
         if not materials_of(obj):
-            return greyed(cls, "This object has no material to judge by")
+            return greyed(cls, "This object has no material to suggest for")
         return True
 
     def execute(self, context: Any) -> set[str]:
@@ -106,13 +107,13 @@ class HNF_OT_suggest(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  #
 class HNF_OT_material_choose(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.material_choose"
     bl_label = "Choose What It Feels Like"
-    bl_description = "Decide what this material feels like. The choice is locked: no bake overwrites it"
+    bl_description = "Choose what this material feels like. The choice is locked: no bake overwrites it"
     bl_options = UNDOABLE
     bl_property = "name"
 
     material: bpy.props.StringProperty(
         name="Material",
-        description="Full name of the Blender material, which tells linked ones from those of this file",
+        description="Full name of the Blender material, to tell linked ones from those of this file",
         options={"HIDDEN"},
     )
     name: bpy.props.EnumProperty(name="Feels like", description="Material of the library", items=listed_library)
@@ -138,12 +139,12 @@ class HNF_OT_material_choose(bpy.types.Operator):  # type: ignore[misc]  # noqa:
 class HNF_OT_material_auto(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.material_auto"
     bl_label = "Back to Automatic"
-    bl_description = "Forget the choice made by hand: how the material looks decides again"
+    bl_description = "Forget your choice: the look of the material decides again"
     bl_options = UNDOABLE
 
     material: bpy.props.StringProperty(
         name="Material",
-        description="Full name of the Blender material, which tells linked ones from those of this file",
+        description="Full name of the Blender material, to tell linked ones from those of this file",
         options={"HIDDEN"},
     )
 
@@ -154,7 +155,7 @@ class HNF_OT_material_auto(bpy.types.Operator):  # type: ignore[misc]  # noqa: N
 class HNF_OT_stroke_material(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.stroke_material"
     bl_label = "Choose for This Stroke"
-    bl_description = "Decide what this one stroke feels, whatever its surface looks like"
+    bl_description = "Choose what this stroke feels, whatever its surface looks like"
     bl_options = UNDOABLE
     bl_property = "name"
 
@@ -162,7 +163,7 @@ class HNF_OT_stroke_material(bpy.types.Operator):  # type: ignore[misc]  # noqa:
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        return _stroke_meant(cls, context)
+        return needs_editable(cls, context)
 
     def invoke(self, context: Any, _event: Any) -> set[str]:
         context.window_manager.invoke_search_popup(self)
@@ -175,23 +176,17 @@ class HNF_OT_stroke_material(bpy.types.Operator):  # type: ignore[misc]  # noqa:
 
 class HNF_OT_stroke_material_auto(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.stroke_material_auto"
-    bl_label = "Feel What Is There"
-    bl_description = "Forget the stroke's own material: it feels what its surface is made of"
+    bl_label = "Feel the Surface Material"
+    bl_description = "Forget the stroke's own material: it feels its surface's material again"
     bl_options = UNDOABLE
 
     @classmethod
     def poll(cls, context: Any) -> bool:
-        return _stroke_meant(cls, context)
+        return needs_editable(cls, context)
 
     def execute(self, context: Any) -> set[str]:
         active_stroke(context).hnf_stroke.material = ""
         return {"FINISHED"}
-
-
-def _stroke_meant(cls: Any, context: Any) -> bool:
-    if active_stroke(context) is None:
-        return greyed(cls, "Draw, add or select a stroke first")
-    return True
 
 
 def _material(name: str) -> Any:

@@ -40,7 +40,7 @@ class HNF_OT_python_check(bpy.types.Operator):  # type: ignore[misc]  # noqa: N8
     @classmethod
     def poll(cls, _context: Any) -> bool:
         if not python_path():
-            return greyed(cls, "Name an external Python in the add-on's preferences first")
+            return greyed(cls, "Set an external Python in the add-on's preferences first")
         return True
 
     def execute(self, _context: Any) -> set[str]:
@@ -85,7 +85,7 @@ class HNF_OT_python_check(bpy.types.Operator):  # type: ignore[misc]  # noqa: N8
 class HNF_OT_python_copy(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.python_copy"
     bl_label = "Copy Command"
-    bl_description = "Put the command that installs what the external Python lacks on the clipboard. It is not run"
+    bl_description = "Copy the command that installs what the external Python lacks. The add-on does not run it"
 
     @classmethod
     def poll(cls, _context: Any) -> bool:

@@ -39,8 +39,8 @@ class HNF_OT_preview_play(bpy.types.Operator):  # type: ignore[misc]  # noqa: N8
     bl_idname = "hnf.preview_play"
     bl_label = "Play"
     bl_description = (
-        "Hear the stroke on Blender's sound device. At 0 dB of monitor gain 10 m/s² is full scale; the signal itself "
-        "keeps its m/s²"
+        "Play the stroke, on the speakers or on the chosen actuator. On speakers, at 0 dB monitor gain, 10 m/s² is "
+        "full scale"
     )
 
     @classmethod
@@ -89,7 +89,7 @@ class HNF_OT_preview_stop(bpy.types.Operator):  # type: ignore[misc]  # noqa: N8
 class HNF_OT_preview_pause(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.preview_pause"
     bl_label = "Pause"
-    bl_description = "Hold the sound where it is, softly; press again to go on from there"
+    bl_description = "Pause with a soft fade; press again to resume"
 
     @classmethod
     def poll(cls, _context: Any) -> bool:
@@ -116,15 +116,15 @@ class HNF_OT_preview_ab(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.preview_ab"
     bl_label = "Compare"
     bl_description = (
-        "Keep the present signal as A, then change the stroke and switch between A and now. Both keep their level"
+        "Keep the current signal as A, then change the stroke and switch between the two. Both keep their level"
     )
 
     action: bpy.props.EnumProperty(
         name="Action",
         description="What to do",
         items=[
-            ("KEEP", "Keep as A", "Remember the present signal to compare with"),
-            ("SWITCH", "Switch", "Hear and see A instead of the present signal, or back"),
+            ("KEEP", "Keep as A", "Keep the current signal to compare with"),
+            ("SWITCH", "Switch", "Switch between A and the current signal, both sound and picture"),
             ("FORGET", "Forget A", "End the comparison"),
         ],
         default="SWITCH",
@@ -142,12 +142,12 @@ class HNF_OT_preview_ab(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
         if self.action == "KEEP":
             heard = current.refresh(stroke, context, wait=bpy.app.background)
             if heard is None:
-                made = tr("The signal is being made: try again in a moment")
+                made = tr("The signal is still being computed: try again in a moment")
                 self.report({"WARNING"}, PREVIEW.problems.get(name, made))
                 return {"CANCELLED"}
             PREVIEW.kept[name] = heard
         elif name not in PREVIEW.kept:
-            self.report({"WARNING"}, tr("Nothing is kept as A yet: keep the present signal first"))
+            self.report({"WARNING"}, tr("Nothing is kept as A yet: keep the current signal first"))
             return {"CANCELLED"}
         elif self.action == "SWITCH":
             current.switch_kept(name)

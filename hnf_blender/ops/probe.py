@@ -26,13 +26,13 @@ class HNF_OT_probe(ModalJob, bpy.types.Operator):  # type: ignore[misc]  # noqa:
     bl_idname = "hnf.probe"
     bl_label = "Examine a Place"
     bl_description = (
-        "Click on a surface: its tactile map, roughness, friction and the materials nearest to it are told below. "
-        "Nothing in the file changes; ESC gives up"
+        "Click on a surface: its tactile map, roughness, friction and the closest materials are shown below. Nothing "
+        "in the file changes; Esc cancels"
     )
     bl_options = frozenset[str]()  # neither redone nor undone: it changes nothing
 
     surface: bpy.props.StringProperty(
-        name="Surface", description="Object that is looked at; empty: click on one", options={"SKIP_SAVE"}
+        name="Surface", description="Object to examine; empty: click on one", options={"SKIP_SAVE"}
     )
     at: bpy.props.FloatVectorProperty(
         name="Place", description="In the object's own coordinates", size=3, options={"SKIP_SAVE"}
@@ -56,7 +56,7 @@ class HNF_OT_probe(ModalJob, bpy.types.Operator):  # type: ignore[misc]  # noqa:
             return self.execute(context)
         if not self.surface:
             context.window.cursor_modal_set("EYEDROPPER")
-            context.workspace.status_text_set(tr("Click on a surface to examine it.  ESC or right click: give up"))
+            context.workspace.status_text_set(tr("Click on a surface to examine it.  Esc or right click: cancel"))
         elif not self._begin(context, self._place()):
             return {"CANCELLED"}
         context.window_manager.modal_handler_add(self)

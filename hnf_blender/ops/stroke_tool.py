@@ -15,7 +15,7 @@ TOOL = "hnf.stroke"
 class HNF_OT_stroke_tool(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types
     bl_idname = "hnf.stroke_tool"
     bl_label = "Stroke Tool"
-    bl_description = "Take the tool that draws strokes: drag over a surface with a pen or the mouse"
+    bl_description = "Switch to the tool that draws strokes: drag over a surface with a pen or the mouse"
     bl_options = frozenset[str]()  # taking a tool is nothing to undo
 
     @classmethod

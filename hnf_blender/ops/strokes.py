@@ -19,6 +19,7 @@ from .draw import PROBE_ITEMS
 from .greyed import greyed
 
 UNDOABLE = {"REGISTER", "UNDO"}
+LINKED = "It is linked from another file: make it local or override it (Object > Library Override)"
 NOT_SELECTED = "No stroke is selected: click one in the Touch tab, or draw one with the stroke tool"
 
 
@@ -62,6 +63,16 @@ def needs_stroke(cls: Any, context: Any) -> bool:
     return True
 
 
+def needs_editable(cls: Any, context: Any) -> bool:
+    """For poll(): True where there is an active stroke that can be changed, else says why greyed. Blender takes a
+    change on a linked one and forgets it with the next load."""
+    if not needs_stroke(cls, context):
+        return False
+    if not active_stroke(context).is_editable:
+        return greyed(cls, LINKED)
+    return True
+
+
 class HNF_OT_stroke_add(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types, Blender's naming
     bl_idname = "hnf.stroke_add"
     bl_label = "Add Touch Stroke"
@@ -94,7 +105,7 @@ class HNF_OT_stroke_add(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
         if not needs_object_mode(cls, context):
             return False
         if touched_object(context) is None:
-            return greyed(cls, "Select the mesh object that is to be touched")
+            return greyed(cls, "Select the mesh object to touch")
         return True
 
     def execute(self, context: Any) -> set[str]:
@@ -138,7 +149,7 @@ class HNF_OT_stroke_add(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
 class HNF_OT_stroke_from_curve(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.stroke_from_curve"
     bl_label = "Make Curve a Touch Stroke"
-    bl_description = "Every selected curve becomes a stroke along it, beginning at the current frame"
+    bl_description = "Turn every selected curve into a stroke that begins at the current frame"
     bl_options = UNDOABLE
 
     speed_mm_s: bpy.props.FloatProperty(
@@ -149,8 +160,11 @@ class HNF_OT_stroke_from_curve(bpy.types.Operator):  # type: ignore[misc]  # noq
     def poll(cls, context: Any) -> bool:
         if not needs_object_mode(cls, context):
             return False
+        selected = context.view_layer.objects.selected
+        if any(obj.type == "CURVE" and not obj.is_editable for obj in selected):
+            return greyed(cls, LINKED)
         if not curves_to_convert(context):
-            return greyed(cls, "Select a curve object that is no stroke yet")
+            return greyed(cls, "Select a curve that is not a stroke yet")
         return True
 
     def execute(self, context: Any) -> set[str]:
@@ -179,9 +193,9 @@ class HNF_OT_stroke_from_curve(bpy.types.Operator):  # type: ignore[misc]  # noq
 
 
 def curves_to_convert(context: Any) -> list[Any]:
-    """The selected curve objects that are no strokes."""
+    """The selected curve objects that are no strokes, and can become some."""
     selected = context.view_layer.objects.selected
-    return [obj for obj in selected if obj.type == "CURVE" and not obj.hnf_stroke.is_stroke]
+    return [obj for obj in selected if obj.type == "CURVE" and obj.is_editable and not obj.hnf_stroke.is_stroke]
 
 
 class OfStroke:
@@ -221,7 +235,9 @@ NAME = {"name": "Name", "description": "Stroke object; empty: the active one", "
 class HNF_OT_stroke_delete(OfStrokeObject, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.stroke_delete"
     bl_label = "Delete Stroke"
-    bl_description = "Delete this stroke with its curve and keyframes. Your own curve becomes a plain one again"
+    bl_description = (
+        "Delete this stroke with its curve and keyframes. A curve that you made yourself becomes a plain curve again"
+    )
     bl_options = UNDOABLE
 
     name: bpy.props.StringProperty(**NAME)
@@ -249,7 +265,7 @@ class HNF_OT_stroke_delete(OfStrokeObject, bpy.types.Operator):  # type: ignore[
 class HNF_OT_stroke_to_curve(OfStrokeObject, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.stroke_to_curve"
     bl_label = "Back to a Plain Curve"
-    bl_description = "The curve is no stroke any more: its bake is dropped, its keyframes stay"
+    bl_description = "Turn the stroke back into a plain curve: removes its bake, keeps its keyframes"
     bl_options = UNDOABLE
 
     name: bpy.props.StringProperty(**NAME)
@@ -334,17 +350,23 @@ class HNF_OT_stroke_select(bpy.types.Operator):  # type: ignore[misc]  # noqa: N
 class HNF_OT_stroke_solo(OfStroke, bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     bl_idname = "hnf.stroke_solo"
     bl_label = "Solo"
-    bl_description = "Mute every other stroke of the scene; once more: let all of them be heard"
+    bl_description = "Mute all other strokes of the scene; click again to hear them all"
     bl_options = UNDOABLE
 
     name: bpy.props.StringProperty(**NAME)
 
     def work(self, context: Any, stroke: Any) -> str:
         strokes = strokes_of(context.scene)
-        alone = [other for other in strokes if not other.hnf_stroke.mute] == [stroke]
-        for other in strokes:
+        own = [other for other in strokes if other.is_editable]
+        alone = not stroke.hnf_stroke.mute and all(other.hnf_stroke.mute for other in own if other != stroke)
+        alone = alone and len(strokes) > 1
+        for other in own:
             other.hnf_stroke.mute = other != stroke and not alone
-        return tr("All strokes") if alone else tr("Only {name}").format(name=stroke.name)
+        said = tr("All strokes") if alone else tr("Only {name}").format(name=stroke.name)
+        held = [other.name for other in strokes if other.hnf_stroke.mute != (other != stroke and not alone)]
+        if not held:
+            return said
+        return f"{said}. {tr('Linked and not changed: {names}').format(names=', '.join(held))}"
 
 
 CLASSES = (

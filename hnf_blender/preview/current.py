@@ -215,7 +215,7 @@ def look_behind(obj: Any, scene: Any) -> None:
 
 
 def behind_words(name: str) -> list[str]:
-    said = tr("'{name}' sounds as before the last change: add it again (Export)")
+    said = tr("'{name}' still plays the sound from before the last change: add it again (Export)")
     return [said.format(name=each) for each in PREVIEW.behind.get(name, ())]
 
 

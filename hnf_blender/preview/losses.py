@@ -29,7 +29,7 @@ def loss_sentence(exported: Exported) -> str:
     if max(abs(level), abs(band_db)) < UNHEARD_DB and abs(longer) < 0.05:
         return tr("{file}: no octave changed by 0.05 dB").format(file=name)
     if worst is None:
-        return tr("{file}: nothing of it is left").format(file=name)
+        return tr("{file}: no signal is left").format(file=name)
     said = tr("{file}: level {level} dB, most changed {low:.0f}–{high:.0f} Hz {band} dB, duration {ms} ms")
     high = min(worst.high_hz, loss.before.sample_rate_hz / 2.0)
     change = {"level": _signed(level), "band": _signed(band_db), "ms": _signed(longer)}

@@ -15,7 +15,10 @@ OWN_NAME = "hnf_material_name"
 class HnfMaterial(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no types
     library: bpy.props.StringProperty(
         name="Feels like",
-        description="Library material chosen by hand; no bake overwrites it. Empty: taken from how the material looks",
+        description=(
+            "Library material that you chose; no bake overwrites it. Empty: chosen automatically from the material's "
+            "look"
+        ),
         default="",
         override=OVERRIDABLE,
     )

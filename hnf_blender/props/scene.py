@@ -18,7 +18,7 @@ from .stroke import FORCE_MAX_N
 
 class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no types
     stroke_index: bpy.props.IntProperty(
-        name="Active stroke", description="The stroke the panels below speak of", default=0, min=0, override=OVERRIDABLE
+        name="Active stroke", description="The stroke shown in the panels below", default=0, min=0, override=OVERRIDABLE
     )
     metres_per_unit: bpy.props.FloatProperty(
         name="Metres per unit",
@@ -31,25 +31,23 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
     )
     monitor_gain_db: bpy.props.FloatProperty(
         name="Monitor gain",
-        description="Loudness of the preview on headphones in dB. The signal itself keeps its m/s²",
+        description="Loudness of the preview on headphones in dB. Does not change exported files",
         default=0.0,
         min=-60.0,
         max=60.0,
         precision=1,
         override=OVERRIDABLE,
     )
-    loop: bpy.props.BoolProperty(
-        name="Loop", description="Play the stroke over and over", default=False, override=OVERRIDABLE
-    )
+    loop: bpy.props.BoolProperty(name="Loop", description="Repeat the stroke", default=False, override=OVERRIDABLE)
     follow_timeline: bpy.props.BoolProperty(
         name="Follow the timeline",
-        description="Sound the strokes at their place in time while the timeline plays",
+        description="Play each stroke at its frame while the timeline plays",
         default=True,
         override=OVERRIDABLE,
     )
     actuator: bpy.props.EnumProperty(
         name="Actuator",
-        description="Profile whose limits the preview is shown against",
+        description="Actuator whose limits the preview compares the signal with",
         items=[
             *((name, profile.title, profile.source) for name, profile in PROFILES.items()),
             (OWN, "My actuator", "A device of your own: enter what its data sheet says"),
@@ -60,7 +58,7 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
     )
     actuator_file: bpy.props.StringProperty(
         name="Profile",
-        description="File of the measured actuator's profile. On that actuator its response is made up for",
+        description="File of the measured actuator's profile. Playback corrects for this actuator's response",
         default="",
         subtype="FILE_PATH",
         options=beside_the_file(),
@@ -105,7 +103,7 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
     )
     live_mouse_n: bpy.props.FloatProperty(
         name="Live force of the mouse",
-        description="Normal force in newtons while a live touch follows a mouse, whose button knows no pressure",
+        description="Normal force in newtons while a live touch follows a mouse (no pressure)",
         default=1.0,
         min=0.01,
         max=FORCE_MAX_N,
@@ -114,11 +112,11 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
         override=OVERRIDABLE,
     )
     export_format: bpy.props.EnumProperty(
-        name="Format", description="What exported strokes are written as", items=FORMAT_ITEMS, override=OVERRIDABLE
+        name="Format", description="File format of exported strokes", items=FORMAT_ITEMS, override=OVERRIDABLE
     )
     export_folder: bpy.props.StringProperty(
         name="Folder",
-        description="Where exported signals are written",
+        description="Folder that exports are written to",
         default="//touch",
         subtype="DIR_PATH",
         options=beside_the_file(),

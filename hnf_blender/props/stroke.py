@@ -12,9 +12,9 @@ from .overriding import OVERRIDABLE
 FORCE_MAX_N = 20.0
 
 LAWS = (
-    ("PROGRESS", "Progress keys", "Where along the curve the hand is at each frame comes from the keyed progress"),
-    ("SPEED", "Speed", "From end to end at a constant speed, unless progress is keyed"),
-    ("DURATION", "Duration", "From end to end in a given time, unless progress is keyed"),
+    ("PROGRESS", "Progress keys", "The keys of Progress say where along the curve the hand is at each frame"),
+    ("SPEED", "Speed", "From end to end at a constant speed, unless Progress is keyed"),
+    ("DURATION", "Duration", "From end to end in a given time, unless Progress is keyed"),
 )
 
 
@@ -33,7 +33,7 @@ class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no ty
         options={"HIDDEN"},
         override=OVERRIDABLE,
     )
-    mute: bpy.props.BoolProperty(name="Mute", description="Leave this stroke out", default=False, override=OVERRIDABLE)
+    mute: bpy.props.BoolProperty(name="Mute", description="Skip this stroke", default=False, override=OVERRIDABLE)
     start: bpy.props.FloatProperty(
         name="Start", description="Frame at which the stroke begins", default=1.0, override=OVERRIDABLE
     )
@@ -49,7 +49,7 @@ class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no ty
     )
     progress: bpy.props.FloatProperty(
         name="Progress",
-        description="Place along the curve as a share of its length; may run backward",
+        description="Position along the curve, 0 to 1. Keys may go backward",
         default=0.0,
         min=0.0,
         max=1.0,
@@ -57,8 +57,8 @@ class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no ty
         override=OVERRIDABLE,
     )
     law: bpy.props.EnumProperty(
-        name="Time law",
-        description="What moves the hand where progress is not keyed",
+        name="Timing",
+        description="How the stroke is timed when Progress has no keys",
         items=LAWS,
         default="SPEED",
         override=OVERRIDABLE,
@@ -97,7 +97,7 @@ class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no ty
     )
     material: bpy.props.StringProperty(
         name="Material",
-        description="Library material to use whatever the surface looks like; empty: as baked",
+        description="Override what this stroke feels. Empty: the surface's own material",
         override=OVERRIDABLE,
     )
     kept: bpy.props.StringProperty(

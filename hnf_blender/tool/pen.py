@@ -51,7 +51,7 @@ class Pen:
 
         self._handle: Any = bpy.types.SpaceView3D.draw_handler_add(self._draw, (), "WINDOW", "POST_VIEW")
         context.workspace.status_text_set(
-            tr("Press on a surface and drag to draw a stroke.  ESC or right click: give up")
+            tr("Press on a surface and drag to draw a stroke.  Esc or right click: cancel")
         )
 
     def close(self, context: Any) -> None:
@@ -90,7 +90,7 @@ class Pen:
             self.why_not = why_untouched(context, self._region, (x, y)) or self.why_not
             return False
         if not in_renders([hit.obj], context.view_layer):
-            said = tr("'{name}' is hidden in renders, and what is touched is rendered")
+            said = tr("'{name}' is hidden in renders: only what renders can be touched")
             self.why_not = said.format(name=hit.obj.name)
             return False
         self.surface, self.is_down, self._is_pen = str(hit.obj.name), True, bool(event.is_tablet)
@@ -173,7 +173,7 @@ class Pen:
         force = self._force_at(self._pressure[-1], self._is_pen)
         state = f"{force:.2f} N" if self._touching[-1] else tr("off the surface: silent")
         length = f"{m_to_mm(self._length * self._metres):.0f}"
-        said = tr("Stroke on {surface}: {length} mm, {state}.  Release: done.  ESC or right click: give up")
+        said = tr("Stroke on {surface}: {length} mm, {state}.  Release: done.  Esc or right click: cancel")
         context.workspace.status_text_set(said.format(surface=self.surface, length=length, state=state))
         self._area.tag_redraw()
 

@@ -109,5 +109,5 @@ def save_baked(path: Path) -> None:
 
 def _height_line(source: str, resolved: float) -> str:
     if not np.isfinite(resolved):
-        return "no micro-geometry in the shader"
+        return "no bump, normal or displacement in the shader"
     return f"{source}; resolves waves from {resolved * 1e3:.2g} mm"

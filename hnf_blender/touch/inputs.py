@@ -16,10 +16,10 @@ WORDS = {
     "shading": "the materials of the surface",
     "sight": "the networks that estimate relief from pictures",
     "choices": "a material choice",
-    PATH: "its path, its timing or the name of its surface",
-    TOUCH: "its force, seed or probe",
+    PATH: "path, timing or surface name",
+    TOUCH: "force, seed or probe",
 }
-SAME_SURFACE = "its path or its timing"
+SAME_SURFACE = "path or timing"
 """What is left of PATH where the surface is called as it was."""
 
 

@@ -37,7 +37,7 @@ from .store import STORE_VERSION
 from .targets import Target, resolve_target
 
 NO_SCALE = (
-    "is a reconstruction, which has no scale of its own: one unit is taken to be {metres:g} m. Say how long something "
+    "is a reconstruction, which has no real-world size: one unit is assumed to be {metres:g} m. Say how long something "
     "in it really is: Set Real Length under Units in the Touch tab."
 )
 

@@ -130,7 +130,7 @@ class Plan:
     def as_text(self) -> str:
         lines = []
         if self.needed:
-            lines.append("Needed:")
+            lines.append("To bake:")
             for entry in self.needed:
                 lines.append(
                     f"  {entry.stroke}: on {entry.object}, {entry.material or 'no material'}; "
@@ -142,12 +142,12 @@ class Plan:
         if self.probes:
             lines.append("Probes:")
             for probe in self.probes:
-                cost = "1 close-up" if probe.close_ups else "looked at before, nothing to render"
+                cost = "1 close-up" if probe.close_ups else "examined before, nothing to render"
                 lines.append(f"  {probe.name}: on {probe.object}, {probe.material or 'no material'}; {cost}")
                 lines += [_route_line(probe.slot, probe.predictions)] if probe.slot is not None else []
         lines += ["Fresh:", *(f"  {entry.stroke}: {entry.wav}" for entry in self.fresh)] if self.fresh else []
         lines += ["Skipped:", *_bullets(self.skipped)] if self.skipped else []
-        lines += ["Cannot be done:", *(f"  {entry.why}" for entry in self.failed)] if self.failed else []
+        lines += ["Problems:", *(f"  {entry.why}" for entry in self.failed)] if self.failed else []
         lines += ["Notes:", *(f"  {with_option(note)}" for note in self.notes)] if self.notes else []
         return "\n".join(lines) or "Nothing to do."
 

@@ -251,7 +251,7 @@ def _tell(report: Report, request: TouchRequest) -> int:
                 f"{probe_line(entry)} → {request.folder / (entry['tactile_map'] or {}).get('picture', 'report.json')}"
             )
         for stroke in () if request.only_probes else report.strokes:
-            state = "  (fresh)" if stroke.fresh else ""
+            state = "  (up to date)" if stroke.fresh else ""
             print(
                 f"{stroke.name}: {stroke.library_material} ({stroke.confidence:.0%}), {stroke.duration_s:.2f} s, "
                 f"{stroke.rms_m_s2:.3g} m/s² RMS → {request.folder / stroke.wav}{state}"

@@ -57,9 +57,7 @@ def judge(obj: Any, job: Job) -> StrokeStatus:
             bake.with_force(force)
     except StrokeError as error:
         return status_of(bake, Freshness.STALE, str(error))
-    return status_of(
-        bake, Freshness.FORCE, tr("Only its force, seed or probe changed: heard at once, nothing to bake.")
-    )
+    return status_of(bake, Freshness.FORCE, tr("Only force, seed or probe changed: no bake needed, just play."))
 
 
 def status_of(bake: StrokeBake, freshness: Freshness, why: str = "") -> StrokeStatus:
@@ -93,5 +91,5 @@ def _what_changed(obj: Any, job: Job, bake: StrokeBake) -> str:
     if earlier is None or earlier.path_key != bake.path_key:
         return tr("Changed since it was baked.")
     words = job.inputs.changes(earlier, same_surface=bake.facts.get("object") == job.object_name)
-    said = tr("Since the bake {what} changed. Bake it again.")
-    return said.format(what=tr(" and ").join(tr(word) for word in words))
+    said = tr("Changed since the bake: {what}. Bake again.")
+    return said.format(what="; ".join(tr(word) for word in words))

@@ -18,9 +18,9 @@ from .layout import TouchPanel, hint, named, paragraph, side_by_side
 PHASES = {
     Phase.OFF: ("RADIOBUT_OFF", "Not running"),
     Phase.OPENING: ("SORTTIME", "Connecting"),
-    Phase.READY: ("RADIOBUT_ON", "Silent; the device is free for others"),
+    Phase.READY: ("RADIOBUT_ON", "Idle; device released"),
     Phase.PLAYING: ("PLAY", "Playing"),
-    Phase.PAUSED: ("PAUSE", "Paused; the device is kept"),
+    Phase.PAUSED: ("PAUSE", "Paused; device kept"),
     Phase.LIVE: ("BRUSH_DATA", "Follows the pen"),
 }
 
@@ -34,7 +34,7 @@ def profile_lines(profile: ActuatorProfile) -> tuple[str, ...]:
     if profile.peak_m_s2 is not None:
         lines.append(tr("Largest acceleration: {peak} m/s²").format(peak=f"{profile.peak_m_s2:.3g}"))
     else:
-        lines.append(tr("Largest acceleration: not stated by its maker"))
+        lines.append(tr("Largest acceleration: not stated by the maker"))
     return tuple(lines)
 
 
@@ -83,13 +83,17 @@ def draw_output(layout: Any, context: Any) -> None:
     for line in ACTUATOR.missing:
         paragraph(layout, context, line, icon="INFO")
     if target == SPEAKERS:
-        hint(layout, context, tr("For your ears: the actuator's limits are not kept on speakers"))
+        hint(layout, context, tr("Speakers: the actuator's limits do not apply"))
         return
     row = side_by_side(layout, context)
     row.operator("hnf.actuator_test", text="Test", icon="IPO_EASE_IN_OUT")
     row.operator("hnf.preview_stop", text="Stop", icon="SNAP_FACE")
     if plays_whole(target):
-        hint(layout, context, tr("Through Blender's own sound, with the limits kept. Live touch needs sounddevice"))
+        hint(
+            layout,
+            context,
+            tr("Plays through Blender's sound, within limits. Live Touch needs the Python package sounddevice"),
+        )
         return
     facts = ACTUATOR.facts
     draw_status(layout, context, facts)

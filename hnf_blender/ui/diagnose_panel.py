@@ -26,12 +26,12 @@ class HNF_PT_diagnose(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noq
         row.operator("hnf.diagnose", icon="VIEWZOOM")
         row.operator("hnf.diagnose_copy", icon="COPYDOWN")
         draw_cache(layout, STATE)
-        size = dict(STATE.diagnosis).get("Touch data in this file")
+        size = dict(STATE.diagnosis).get("Baked data in this file")
         if size:
-            text = tr("Purge Touch Data ({size})").format(size=size)
+            text = tr("Remove Baked Data ({size})").format(size=size)
             layout.operator("hnf.purge", text=text, icon="TRASH", translate=False)
         else:
-            layout.operator("hnf.purge", text="Purge Touch Data", icon="TRASH")
+            layout.operator("hnf.purge", text="Remove Baked Data", icon="TRASH")
 
 
 def draw_cache(layout: Any, state: SessionState) -> None:

@@ -28,7 +28,7 @@ class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa:
         layout.prop(scene.hnf, "export_format", text="")
         choice = CHOICE_OF.get(scene.hnf.export_format)
         if choice is not None and choice.scaled:
-            said = tr("1 is {peak:g} m/s²: {actuator}, as chosen under Actuator")
+            said = tr("1 means {peak:g} m/s² ({actuator}, chosen under Actuator)")
             profile = actuator_of(scene)
             text = said.format(peak=profile.limits.full_scale_m_s2, actuator=tr(profile.title))
             paragraph(layout, context, text, icon="BLANK1")
@@ -36,7 +36,7 @@ class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa:
         if not bpy.data.filepath and scene.hnf.export_folder.startswith("//"):
             hint(layout, context, tr("Save the .blend first, or choose a folder: // means the folder of the .blend"))
         elif not PREVIEW.exported:  # Blender paints a folder red that is not there yet
-            paragraph(layout, context, tr("Made at the first export if it is not there"), icon="BLANK1")
+            paragraph(layout, context, tr("Created on first export"), icon="BLANK1")
         row = side_by_side(layout, context)
         row.operator("hnf.export", text="This Stroke", icon="FILE_SOUND").all = False
         row.operator("hnf.export", text="All", icon="EXPORT").all = True
@@ -52,7 +52,7 @@ class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa:
         column.operator("hnf.add_to_sequencer", text="Add to Sequencer", icon="SEQUENCE")
         column.operator("hnf.add_speaker", text="Add Speaker at the Stroke", icon="OUTLINER_OB_SPEAKER")
         if listed_strokes(scene) and active_stroke(context) is None:
-            hint(layout, context, tr("Click a stroke in the list: buttons above speak of one"))
+            hint(layout, context, tr("Click a stroke in the list: the buttons above act on the selected stroke"))
 
 
 CLASSES = (HNF_PT_export,)

@@ -7,6 +7,7 @@ from typing import Any
 import bpy
 
 from ..ops.materials import felt_object, spoken
+from ..ops.outside_python import python_path
 from ..props.material import OWN_DEFINITION, OWN_NAME
 from ..state.session import STATE, StrokeStatus
 from ..translations import tr
@@ -28,7 +29,7 @@ def felt_text(material: Any) -> tuple[str, str]:
     baked = next((status for status in STATE.strokes.values() if status.shader == material.name), None)
     if baked is not None and baked.library_material:
         return "UNLOCKED", f"{spoken(baked.library_material)} ({tr('as baked')})"
-    return "UNLOCKED", tr("Decided at the bake")
+    return "UNLOCKED", tr("Automatic at bake")
 
 
 def bakes_on(object_name: str) -> list[tuple[str, StrokeStatus]]:
@@ -63,7 +64,7 @@ class HNF_PT_materials(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # no
         layout, obj = self.layout, felt_object(context)
         if obj is None:
             hint(layout, context, tr("Select a mesh or a stroke to see what its materials feel like"))
-            layout.operator("hnf.learn", icon="REC")
+            draw_learn(layout)
             return
         layout.label(text=named(context, obj.name), icon="OBJECT_DATA", translate=False)
         if len(obj.material_slots) > 1:
@@ -72,9 +73,15 @@ class HNF_PT_materials(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # no
             )
         material = obj.active_material
         if material is None:
-            hint(layout, context, tr("No material in this slot: what it feels like is guessed from names alone"))
+            hint(layout, context, tr("No material in this slot: its feel is guessed from names alone"))
         else:
             draw_material(layout, context, material)
+        draw_learn(layout)
+
+
+def draw_learn(layout: Any) -> None:
+    """The button that learns a material; not for those who named no Python for it, as it would only be grey."""
+    if python_path():
         layout.operator("hnf.learn", icon="REC")
 
 

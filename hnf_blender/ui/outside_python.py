@@ -20,7 +20,7 @@ def draw_outside_python(layout: Any, preferences: Any) -> None:
     button.operator("hnf.python_check", text="Check", icon="VIEWZOOM")
     found = STATE.outside
     if found is None or found.path != preferences.external_python:
-        box.label(text="Only learning a material needs it. Name one and check it", icon="INFO")
+        box.label(text="Set its path, then press Check. Learn a Material… appears under Materials", icon="INFO")
         return
     box.label(text=found_text(found), icon="ERROR" if found.problem else "CHECKMARK", translate=False)
     if found.command:

@@ -64,7 +64,7 @@ class HNF_PT_preview(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa
             box.alert = True
             paragraph(box, context, tr(facts.problem), icon="ERROR")
         elif facts.busy:
-            paragraph(layout, context, tr("Listening to the change"), icon="SORTTIME")
+            paragraph(layout, context, tr("Updating…"), icon="SORTTIME")
         column = layout.column(align=True)
         for line in facts.lines:
             paragraph(column, context, line, icon="DOT")
@@ -80,7 +80,7 @@ def draw_comparison(layout: Any, facts: PreviewFacts) -> None:
     on_kept = facts.shows == "A"
     switch = row.operator(
         "hnf.preview_ab",
-        text="A: the Kept One" if on_kept else "B: as It Is Now",
+        text="Hearing A: Kept" if on_kept else "Hearing B: Current",
         icon="ARROW_LEFTRIGHT",
         depress=on_kept,
     )
@@ -98,7 +98,7 @@ class HNF_PT_monitor(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa
         layout.use_property_split = True
         layout.use_property_decorate = False
         layout.prop(settings, "monitor_gain_db", text="Gain (dB)")
-        paragraph(layout, context, tr("Headphones only: the signal and its files stay in m/s²"), icon="INFO")
+        paragraph(layout, context, tr("Preview only: exported files do not change"), icon="INFO")
         layout.prop(settings, "follow_timeline")
 
 

@@ -61,7 +61,9 @@ def draw_nearest(layout: Any, context: Any, view: ProbeView) -> None:
         return
     seen = view.seen_m is not None
     column = layout.column(align=True)
-    said = tr("Nearest by relief, and how far off") if seen else tr("Most likely: no relief was seen")
+    said = (
+        tr("Closest materials by relief (0 = identical)") if seen else tr("Most likely materials (no relief was seen)")
+    )
     paragraph(column, context, said, icon="INFO")
     for near in view.nearest:
         how = f"{round(100 * near.confidence)} %" if near.distance is None else f"{near.distance:.2f}"

@@ -59,6 +59,12 @@ def told_of(scene: Any, told: Told | None) -> Told | None:
     return told if told is not None and told.scene in ("", scene.name) else None
 
 
+def offers_tools(context: Any) -> bool:
+    """Whether the first step shows the stroke tool and the ready strokes; the Strokes panel then does not."""
+    scene = context.scene
+    return STATE.job is None and not listed_strokes(scene) and any(obj.type == "MESH" for obj in scene.objects)
+
+
 def draw_first_steps(layout: Any, context: Any, strokes: list[Any]) -> None:
     """1 Draw, 2 Bake, 3 Play, until the first stroke can be heard."""
     audible = sum(obj.name in STATE.strokes and STATE.strokes[obj.name].freshness in AUDIBLE for obj in strokes)
@@ -72,13 +78,12 @@ def draw_first_steps(layout: Any, context: Any, strokes: list[Any]) -> None:
         row.label(text=step.text, icon=step.icon, translate=False)
     if audible:
         box.operator("hnf.preview_play", text="Play", icon="PLAY")
-    if not strokes:
-        if not any(obj.type == "MESH" for obj in context.scene.objects):
-            paragraph(box, context, tr("There is no mesh to touch yet: add or import one"), icon="ERROR")
-            return
+    if offers_tools(context):
         row = side_by_side(box, context)
         row.operator("hnf.stroke_tool", icon="GREASEPENCIL")
         row.menu("HNF_MT_stroke_add", text="Ready Strokes")
+    elif not strokes:
+        paragraph(box, context, tr("There is no mesh to touch yet: add or import one"), icon="ERROR")
 
 
 def draw_job(layout: Any, context: Any) -> None:
@@ -90,7 +95,7 @@ def draw_job(layout: Any, context: Any) -> None:
     row.progress(factor=share_done(job), text=named(context, job_text(job), taken=8))
     row.operator("hnf.bake_cancel", text="", icon="X")
     paragraph(layout, context, left_text(job), icon="TIME")
-    paragraph(layout, context, tr("Go on working; Esc over the 3-D view cancels"), icon="INFO")
+    paragraph(layout, context, tr("Keep working; Esc over the 3-D view cancels"), icon="INFO")
 
 
 def draw_last_job(layout: Any, context: Any) -> None:
@@ -111,7 +116,7 @@ class HNF_PT_plan(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: N
 
     def draw(self, context: Any) -> None:
         layout, plan = self.layout, told_of(context.scene, STATE.plan)
-        layout.operator("hnf.plan", text="What Is to Bake?", icon="VIEWZOOM")
+        layout.operator("hnf.plan", text="Show Plan", icon="VIEWZOOM")
         if plan is None:
             hint(layout, context, tr("Lists what a bake would do and why, how long it takes, and what it keeps"))
             return
@@ -147,9 +152,7 @@ class HNF_PT_scale(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: 
         paragraph(layout, context, text.format(size=f"{metres:g} m"), icon="INFO")
         layout.operator("hnf.set_real_length", icon="DRIVER_DISTANCE")
         if not scene.hnf.metres_per_unit and TOUCHABLE.of(scene):
-            said = tr(
-                "A reconstruction has no scale of its own: select two points of it and say how far apart they are"
-            )
+            said = tr("A reconstruction has no real-world size: select two points of it and say how far apart they are")
             paragraph(layout, context, said, icon="ERROR")
 
 

@@ -15,6 +15,7 @@ from ..props.scene import active_stroke, listed_strokes, namesake
 from ..state.session import STATE
 from ..translations import tr
 from .layout import TouchPanel, hint, paragraph, side_by_side
+from .scene_panel import offers_tools
 from .texts import look
 
 FEWEST_ROWS, MOST_ROWS = 2, 8
@@ -28,9 +29,10 @@ class HNF_PT_strokes(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa
     def draw(self, context: Any) -> None:
         layout, scene = self.layout, context.scene
         strokes = listed_strokes(scene)
-        row = side_by_side(layout, context)
-        row.operator("hnf.stroke_tool", icon="GREASEPENCIL")
-        row.menu("HNF_MT_stroke_add", text="Ready Strokes", icon="ADD")
+        if not offers_tools(context):
+            row = side_by_side(layout, context)
+            row.operator("hnf.stroke_tool", icon="GREASEPENCIL")
+            row.menu("HNF_MT_stroke_add", text="Ready Strokes", icon="ADD")
         if chosen_output(context) != SPEAKERS:
             layout.operator("hnf.live_touch", text="Live Touch", icon="BRUSH_DATA")
         if not strokes:
@@ -76,7 +78,7 @@ class HNF_PT_stroke(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # noqa: N
             paragraph(
                 layout,
                 context,
-                tr("A linked stroke has the same name, and what is shown may be of the other: rename yours"),
+                tr("A linked stroke has the same name, and the other one may be shown instead. Rename yours"),
                 icon="ERROR",
             )
         icon, text = look(STATE.strokes.get(stroke.name))
@@ -93,7 +95,7 @@ class HNF_PT_stroke(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # noqa: N
             paragraph(column, context, tr("Empty: the nearest visible mesh is touched"), icon="BLANK1")
         column.prop(group, "probe")
         row = labelled(column, "Feels")
-        felt = spoken(group.material) if group.material else tr("What is there")
+        felt = spoken(group.material) if group.material else tr("Surface material")
         row.operator("hnf.stroke_material", text=felt, icon="MATERIAL", translate=False)
         if group.material:
             row.operator("hnf.stroke_material_auto", text="", icon="X")
@@ -115,7 +117,7 @@ class HNF_PT_stroke_time(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # no
         else:
             column.prop(group, "start")
         if keyed:
-            paragraph(column, context, tr("Keys of progress move the hand"), icon="KEY_HLT")
+            paragraph(column, context, tr("Progress keys control the timing"), icon="KEY_HLT")
         else:
             column.prop(group, "law")
             if group.law == "SPEED":
@@ -141,7 +143,7 @@ class HNF_PT_stroke_force(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # n
         row.operator("hnf.force_graph", text="Graph Editor", icon="GRAPH")
         layout.operator("hnf.stroke_copy_force", text="Copy Force to Selected", icon="COPYDOWN")
         if is_keyed(stroke, "force"):
-            paragraph(layout, context, tr("Keyed: change its curve and listen again"), icon="FCURVE")
+            paragraph(layout, context, tr("Keyed: edit its curve and play again"), icon="FCURVE")
 
 
 class HNF_PT_stroke_variation(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # noqa: N801

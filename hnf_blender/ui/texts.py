@@ -12,10 +12,10 @@ from ..translations import tr
 
 ELLIPSIS = "…"
 LOOKS = {
-    Freshness.UNKNOWN: ("QUESTION", "Not looked at since the last change"),
+    Freshness.UNKNOWN: ("QUESTION", "Not checked yet"),
     Freshness.UNBAKED: ("RADIOBUT_OFF", "Not baked yet"),
     Freshness.FRESH: ("CHECKMARK", "Up to date"),
-    Freshness.FORCE: ("FORCE_FORCE", "Force changed: heard at once, nothing to bake"),
+    Freshness.FORCE: ("FORCE_FORCE", "Force changed: no bake needed, just play"),
     Freshness.STALE: ("FILE_REFRESH", "Out of date: bake again"),
     Freshness.BROKEN: ("ERROR", "Cannot be used"),
 }
@@ -24,9 +24,9 @@ AUDIBLE = (Freshness.FRESH, Freshness.FORCE)
 KINDS = {
     "needed": ("FILE_REFRESH", "To bake"),
     "fresh": ("CHECKMARK", "Up to date"),
-    "skipped": ("RADIOBUT_OFF", "Left out"),
-    "failed": ("ERROR", "Cannot be done"),
-    "note": ("INFO", "To know"),
+    "skipped": ("RADIOBUT_OFF", "Skipped"),
+    "failed": ("ERROR", "Problems"),
+    "note": ("INFO", "Notes"),
 }
 """Icon and heading of every kind of plan line, in the order they are shown."""
 RELIEF = "its relief"
@@ -72,7 +72,7 @@ def counts_text(statuses: Iterable[StrokeStatus | None]) -> str:
     parts = [
         (tr("{count} up to date"), sum(each in AUDIBLE for each in found)),
         (tr("{count} to bake"), sum(each in (Freshness.UNBAKED, Freshness.STALE) for each in found)),
-        (tr("{count} not looked at"), found.count(Freshness.UNKNOWN)),
+        (tr("{count} not checked"), found.count(Freshness.UNKNOWN)),
         (tr("{count} broken"), found.count(Freshness.BROKEN)),
     ]
     return ", ".join(text.format(count=count) for text, count in parts if count)

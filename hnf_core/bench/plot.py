@@ -155,7 +155,7 @@ def _draw_trade(axes: Axes, drawing: Drawing) -> None:
     _set_axis(axes, "y", time)
     axes.set_xlabel(f"error [{trade.unit}], less is better" if trade.unit else "error, less is better")
     axes.set_ylabel(trade.measure if trade.measure != PER_SIGNAL else "time for 1 s of signal")
-    title = f"{trade.bench}: ● on the Pareto front, × bettered by another"
+    title = f"{trade.bench}: ● on the Pareto front, × beaten by another"
     left_out = f"; {trade.left_out} rows without such a time are not shown" if trade.left_out else ""
     axes.set_title(title + left_out, fontsize=10.5, loc="left")
 

@@ -32,7 +32,7 @@ DEFAULT_GREY, DEFAULT_ROUGHNESS = 0.8, 0.5
 TEMPER = 0.6
 UNIFORM_FLOOR = 0.03
 ALIKE = 0.85
-NOTHING_TELLS = "nothing in the scene tells"
+NOTHING_TELLS = "no clue in the scene"
 REASON_WORDS = 3
 TELLING = 0.4
 """Log odds of a relief from which it is a reason."""

@@ -50,7 +50,7 @@ def test_what_is_fresh_is_not_baked_again(warm_bake) -> None:
     before = kept()
     again = bake()
     assert (again.ok, again.written) == (True, 0)
-    assert again.message == "Nothing to bake: 1 stroke fresh already."
+    assert again.message == "Nothing to bake: 1 stroke already up to date."
     assert kept() == before
 
 

@@ -41,7 +41,7 @@ def test_the_plan_tells_which_surface_is_read_and_counts_its_time(tmp_path, monk
     without = make_plan(scene, layer)
     use_weights(monkeypatch, small_weights(tmp_path / "small.safetensors"))
     plan = make_plan(scene, layer)
-    said = f"material '{PHOTO_PLATE}': it has no relief; one is estimated from its picture."
+    said = f"material '{PHOTO_PLATE}': no relief in its shader; one is estimated from its picture."
     assert said in [line.what for line in plan.lines if line.kind == "note"]
     assert said not in [line.what for line in without.lines]
     assert plan.seconds == pytest.approx(without.seconds + 0.3)

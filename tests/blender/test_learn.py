@@ -136,7 +136,7 @@ def test_a_program_that_never_answers_is_ended_with_all_it_started(tmp_path) -> 
 
 def test_the_preferences_say_what_was_found_and_diagnose_too(tmp_path, name_python, learned) -> None:
     """Drawing runs nothing: what is shown is what the button found."""
-    with pytest.raises(RuntimeError, match="Name an external Python"):
+    with pytest.raises(RuntimeError, match="Set an external Python"):
         bpy.ops.hnf.python_check()
     bare = program(tmp_path / "bare", f'exec "{sys.executable}" -S -I "$@"')
     name_python(bare)
@@ -154,12 +154,12 @@ def test_the_preferences_say_what_was_found_and_diagnose_too(tmp_path, name_pyth
     preferences.external_python = "/another"
     draw_outside_python(again := Recorder(), preferences)
     assert "It lacks" not in again.words
-    with pytest.raises(RuntimeError, match="lacks something"):
+    with pytest.raises(RuntimeError, match="lacks a package"):
         bpy.ops.hnf.learn_run(kind="simulated", library="oak-wood")
 
 
 def test_without_a_python_the_button_says_why(lone_bake) -> None:
-    with pytest.raises(RuntimeError, match="Name an external Python"):
+    with pytest.raises(RuntimeError, match="Set an external Python"):
         bpy.ops.hnf.learn()
 
 
@@ -167,7 +167,8 @@ def test_without_a_python_the_button_says_why(lone_bake) -> None:
 def test_the_dialog_shows_the_licence_of_what_is_learned(kind) -> None:
     said = Recorder()
     HNF_OT_learn.draw(SimpleNamespace(layout=said, kind=kind, bl_rna=rna_of("hnf.learn")), context_of())
-    assert LICENCES[kind] in " ".join(said.words.split("\n"))
+    licence = "yours (your own recordings)" if kind == "own" else LICENCES[kind]
+    assert f"Licence: {licence}" in " ".join(said.words.split("\n"))
     assert max(map(len, said.words.split("\n"))) <= WIDEST
     assert ("folder" in said.props) == (kind != "simulated")
 

@@ -59,7 +59,7 @@ def test_reasons_are_short() -> None:
     assert texts.reason_text("'oak' in 'Old oak'; 'table' in 'Old table'; colour fits") == (
         "the name says oak, table; colour fits"
     )
-    assert texts.reason_text("nothing in the scene tells") == "nothing in the scene tells"
+    assert texts.reason_text("no clue in the scene") == "no clue in the scene"
     assert "roughness 0.60 fits" in texts.reason_text(reason)
 
 
@@ -91,7 +91,7 @@ def test_spreads_are_said_as_spans() -> None:
 def test_what_the_strokes_are_is_counted() -> None:
     states = [Freshness.FRESH, Freshness.FORCE, Freshness.STALE, Freshness.BROKEN]
     assert texts.counts_text([StrokeStatus(each) for each in states]) == "2 up to date, 1 to bake, 1 broken"
-    assert texts.counts_text([None]) == "1 not looked at"
+    assert texts.counts_text([None]) == "1 not checked"
     assert texts.counts_text([]) == ""
 
 

@@ -143,9 +143,14 @@ def test_an_empty_scene_says_what_to_do_first_and_the_hint_goes_away() -> None:
     assert scene is not None
     assert "no mesh" not in scene.words
     assert "hnf.stroke_tool" in scene.operators
+    strokes = drawn(panel("HNF_PT_strokes"))
+    assert strokes is not None
+    assert "hnf.stroke_tool" not in strokes.operators  # one panel has it, not both
     stroke = add_stroke("Rub", plane)
-    scene = drawn(panel("HNF_PT_scene"))
+    scene, strokes = drawn(panel("HNF_PT_scene")), drawn(panel("HNF_PT_strokes"))
     assert scene is not None
+    assert strokes is not None
+    assert ("hnf.stroke_tool" in scene.operators, "hnf.stroke_tool" in strokes.operators) == (False, True)
     assert "2  Bake" in scene.words
     STATE.strokes[stroke.name] = StrokeStatus(Freshness.FRESH)
     scene = drawn(panel("HNF_PT_scene"))
@@ -230,7 +235,7 @@ def test_the_preferences_draw_and_are_read() -> None:
     HnfPreferences.draw(SimpleNamespace(layout=recorder, bl_rna=declared), context_of())
     assert recorder.props == ["overlay", "default_probe", "external_python"]
     assert "hnf.cache_clear" in recorder.operators
-    assert "torch" in recorder.words
+    assert "PyTorch" in recorder.words
     properties = {name: getattr(Settings(), name) for name in HnfPreferences.__annotations__}
     assert settings(bpy.context) == Settings(**properties)  # where Blender keeps none
 

@@ -192,9 +192,9 @@ def test_the_panel_asks_for_a_length_until_there_is_one(imported) -> None:
         assert "hnf.set_real_length" in layout.operators
         return " ".join(text for text, _ in layout.texts)
 
-    assert "no scale of its own" in texts()
+    assert "no real-world size" in texts()
     bpy.context.scene.hnf.metres_per_unit = 0.25
-    assert "no scale of its own" not in texts()
+    assert "no real-world size" not in texts()
 
 
 def test_a_pen_draws_on_the_surface_through_its_ellipsoids(imported) -> None:

@@ -94,7 +94,7 @@ def test_a_reconstruction_is_felt_by_the_predicted_route(ran: Ran) -> None:
     assert np.isfinite(signal.samples).all()
     assert signal.rms > 0.0
     assert ran.report["skipped"] == []
-    assert not any("no scale of its own" in warning for warning in ran.report["warnings"])
+    assert not any("no real-world size" in warning for warning in ran.report["warnings"])
 
 
 def test_a_second_run_does_nothing_again(ran: Ran, no_work) -> None:
@@ -113,7 +113,7 @@ def test_the_plan_says_what_the_splats_are_for_and_what_is_missing(ran: Ran, no_
     (needed,) = plan["needed"]
     (slot,) = needed["slots"]
     assert (slot["route"], slot["why"]) == ("predicted", "no relief, but splats of slab.ply show it")
-    assert any("'slab' is a reconstruction, which has no scale of its own" in note for note in plan["notes"])
+    assert any("'slab' is a reconstruction, which has no real-world size" in note for note in plan["notes"])
 
 
 def test_a_plan_keeps_no_surface(ran: Ran, tmp_path, capsys) -> None:

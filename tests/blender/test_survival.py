@@ -232,7 +232,7 @@ def test_a_moved_stroke_is_not_said_to_have_a_renamed_surface(saved: Path) -> No
     opened(saved)
     bpy.data.objects["Along"].location.y += 0.001
     assert statuses() == {"Along": STALE, "Below": FRESH}
-    assert STATE.strokes["Along"].why == "Since the bake its path or its timing changed. Bake it again."
+    assert STATE.strokes["Along"].why == "Changed since the bake: path or timing. Bake again."
 
 
 def test_slots_in_another_order_are_noticed_and_feel_the_same(saved: Path) -> None:

@@ -300,14 +300,14 @@ def test_the_plan_says_what_and_does_nothing(tmp_path, capsys) -> None:
     text = capsys.readouterr().out
     assert code == 0
     assert report == {}
-    assert "Needed:" in text
+    assert "To bake:" in text
     assert "Along" in text
     assert "stroke 'Quiet': muted" in text
     assert not list(out.glob("*.wav"))
     touch(scene, out)
     capsys.readouterr()
     touch(scene, out, "--plan")
-    assert "Fresh:" in capsys.readouterr().out
+    assert "Up to date:" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

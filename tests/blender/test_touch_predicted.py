@@ -61,7 +61,7 @@ def test_the_plan_says_which_route_and_what_it_costs(tmp_path, capsys) -> None:
     assert touch(scene, tmp_path / "out", "--plan")[0] == 0
     said = capsys.readouterr().out
     assert f"{PHOTO_PLATE}: predicted (no relief, but its colour varies), at most 3 patches, 0.3 s" in said
-    assert "Ridges: measured (its shader has a relief)" in said
+    assert "Ridges: measured (from the bump, normal or displacement in its shader)" in said
     assert "Bare: prior (its shader has neither relief nor picture)" in said
     assert "at most 7 renders and 3 predictions" in said
     touch(scene, tmp_path / "out", "--plan", "--json")

@@ -100,7 +100,7 @@ def test_shading_alone_tells_a_little():
 def test_nothing_known_is_all_alike():
     suggestions = rank(LIBRARY, BLANK, [])
     assert max(s.confidence for s in suggestions) < 0.15
-    assert {s.reason for s in suggestions} == {"nothing in the scene tells"}
+    assert {s.reason for s in suggestions} == {"no clue in the scene"}
     assert sorted(s.name for s in suggestions) == sorted(m.name for m in LIBRARY)
 
 

@@ -64,7 +64,7 @@ def dialog(stage, name):
     return buttons.default_button(stage, name)
 
 
-def field(ok, name, lines=2):
+def field(ok, name, lines=1):
     """Where a field of the dialog is. lines: of the licence, which stands between them and OK."""
     return ok[0], ok[1] + 53 + LINE_PX * (lines - 1) + ROW_PX * FIELDS.index(name)
 
