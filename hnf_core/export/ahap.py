@@ -42,6 +42,8 @@ MOST_NAMED = 8
 HUGE = 1e30
 EDGE_S = 1e-9
 RISE_S = 1e-3
+SHORTEST_WITH_CLICKS_S = 4.0 * RISE_S
+"""A pause and its rises fit into what is longer; in what is not, a click stays in the strength."""
 _DIGITS = 6
 
 Curve = tuple[Float, Float]
@@ -55,7 +57,8 @@ def write_ahap(path: Path, signal: Signal, options: ExportOptions) -> tuple[str,
     or the signal is empty: a pattern needs an event, and an event a length."""
     if len(signal.samples) == 0:
         raise FileError("an empty signal makes no pattern.", where=str(path), remedy="Give one with samples in it.")
-    envelope = envelope_of(signal, options.range_hz, where=str(path))
+    clicks = signal.duration_s > SHORTEST_WITH_CLICKS_S
+    envelope = envelope_of(signal, options.range_hz, clicks=clicks, where=str(path))
     pattern, clipped = ahap_pattern(envelope, options)
     if sum("Event" in entry for entry in pattern) > MOST_EVENTS:
         why = (
@@ -97,7 +100,7 @@ def _pauses(envelope: Envelope) -> list[Pause]:
     """Of each click, within the signal and before its last RISE_S / 2."""
     end, half = envelope.duration_s, 0.5 * EMPHASIS_S
     found = []
-    for each in envelope.emphases if end > 4.0 * RISE_S else ():
+    for each in envelope.emphases:
         at = min(each.time_s, end - RISE_S)
         start = at - half if at - half > RISE_S else 0.0
         found.append((start, at, min(at + half, end - 0.5 * RISE_S), each.amplitude))

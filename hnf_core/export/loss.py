@@ -15,6 +15,7 @@ from ..signal import Signal
 FRAME_S = 0.02
 FLOOR_DB = -120.0
 """Levels below it, re 1 m/s², are silence."""
+ALL_LOST = "All of it: what is read back is silent. A .wav in m/s² keeps every sample."
 QUIET_DB = 60.0
 """A band this far below the loudest says nothing, and is not in the table."""
 
@@ -65,10 +66,12 @@ class Loss:
 
 
 def loss_between(before: Signal, after: Signal, dropped: tuple[str, ...] = ()) -> Loss:
-    """after: read again from the file."""
+    """after: read again from the file. Where nothing of it is left, ALL_LOST comes first in dropped."""
     bands = band_changes(before.samples, before.sample_rate, after.samples, after.sample_rate)
     exact = before.sample_rate == after.sample_rate and np.array_equal(before.samples, after.samples)
-    return Loss(facts_of(before), facts_of(after), bands, exact, dropped)
+    was, now = facts_of(before), facts_of(after)
+    all_lost = (ALL_LOST,) if now.rms == 0.0 < was.rms else ()
+    return Loss(was, now, bands, exact, (*all_lost, *dropped))
 
 
 def facts_of(signal: Signal) -> Facts:

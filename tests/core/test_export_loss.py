@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
-from export_signals import signal_of, texture, tone
-from hypothesis import given, settings
+from export_signals import OPTIONS, signal_of, texture, tone
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from hnf_core.export.loss import facts_of, loss_between, loss_table
+from hnf_core.export.ahap import SHORTEST_WITH_CLICKS_S
+from hnf_core.export.convert import export_signal
+from hnf_core.export.envelope import envelope_of
+from hnf_core.export.formats import FORMATS
+from hnf_core.export.loss import ALL_LOST, facts_of, loss_between, loss_table
 from hnf_core.metrics.band_energy import CENTRES_HZ, EDGES_HZ, band_changes, band_power
 
 SAMPLES = hnp.arrays(np.float64, st.integers(1, 800), elements=st.floats(-30.0, 30.0))
@@ -107,3 +112,28 @@ def test_only_equal_samples_at_an_equal_rate_are_exact() -> None:
     assert not loss_between(signal, signal_of(nearly)).exact
     assert not loss_between(signal, signal_of(signal.samples, 9999.0)).exact
     assert not loss_between(signal, signal_of(signal.samples[:-1])).exact
+
+
+@pytest.mark.parametrize("word", ["haptic", "ahap", "wav8k"])
+@settings(deadline=None, max_examples=30)
+@given(samples=hnp.arrays(np.float32, st.integers(1, 60), elements=st.floats(-20.0, 20.0, width=32)))
+@example(samples=np.array([0.5, -0.5], np.float32))
+@example(samples=np.full(1, 1e-6, np.float32))
+def test_what_is_lost_whole_is_said_and_nothing_else_is(
+    word: str, samples: np.ndarray, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.getbasetemp() / f"whole{FORMATS[word].suffix}"
+    loss = export_signal(signal_of(samples), FORMATS[word], path, OPTIONS).loss
+    assert (ALL_LOST in loss.dropped) == (loss.before.rms > 0.0 and loss.after.rms == 0.0)
+    assert (f"- {ALL_LOST}" in loss_table(loss)) == (ALL_LOST in loss.dropped)
+
+
+@pytest.mark.parametrize("count", [10, 20, 40, 41, 80])
+def test_a_click_too_short_for_a_pause_stays_in_the_pattern(tmp_path: Path, count: int) -> None:
+    """A transient pauses the continuous event, and in a few milliseconds there is no place for that."""
+    samples = np.zeros(count)
+    samples[count // 2] = 10.0
+    whole = envelope_of(signal_of(samples), OPTIONS.range_hz, clicks=False)
+    loss = export_signal(signal_of(samples), FORMATS["ahap"], tmp_path / "x.ahap", OPTIONS).loss
+    assert loss.after.peak > 0.5 * whole.amplitude.max() > 0.0
+    assert (loss.after.peak > 5.0) == (count / 10_000.0 > SHORTEST_WITH_CLICKS_S)
