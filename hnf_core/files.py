@@ -34,16 +34,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
     if path.exists() and not path.is_file():
         _write_into_device(path, write)
         return
-    handle = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
-    except OSError as error:
-        raise FileError(
-            f"cannot write here ({error.strerror}).", where=str(path), remedy="Choose another output folder."
-        ) from error
-    os.close(handle)
-    temporary = Path(name)
+    temporary = _temporary_beside(path)
     try:
         write(temporary)
         temporary.chmod(path.stat().st_mode & 0o777 if path.is_file() else FILE_MODE)
@@ -58,6 +49,28 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
         ) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_writable(path: Path) -> None:
+    """Before a long time is spent on what is to be written there: make its folder, and a file in it that does not
+    stay. Raises FileError as write_atomically would."""
+    if path.is_dir():
+        raise FileError("is a folder, and no file.", where=str(path), remedy=elsewhere(path))
+    if not path.exists() or path.is_file():
+        _temporary_beside(path).unlink(missing_ok=True)
+
+
+def _temporary_beside(path: Path) -> Path:
+    """An empty file in path's folder, which is made where there is none. Raises FileError."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
+    except OSError as error:
+        raise FileError(
+            f"cannot write here ({error.strerror}).", where=str(path), remedy="Choose another output folder."
+        ) from error
+    os.close(handle)
+    return Path(name)
 
 
 def elsewhere(path: Path) -> str:

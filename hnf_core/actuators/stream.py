@@ -125,10 +125,10 @@ class Stream:
         """Silence now, by the device's own soft stop, and give the device back. From any thread; again is harmless."""
         self._stopping.set()
         self._go.set()
-        if self._ring is not None:
-            self._ring.close()
         with self._lock:
-            threads = list(self._threads)
+            threads, device, ring = list(self._threads), self._device, self._ring
+        if ring is not None and device is not None and device.live:
+            ring.close()  # what is ready is dropped: the device fades by itself
         if not threads:
             self._ended.set()
         elif threading.current_thread() in threads:
@@ -261,6 +261,17 @@ class Stream:
                     self._sink.finish(_FINISH_S)
                     self._note(_NONE, 0.0, self._sink.status())
                 return
+        if not device.live:
+            self._let_end(ring)
+
+    def _let_end(self, ring: Ring) -> None:
+        """A file has no soft stop of its own: it gets what was made until then, and the limiter's."""
+        until = time.monotonic() + _JOIN_S
+        while not ring.ended and time.monotonic() < until:
+            counts, stamp = ring.take(self._sink.wait(_LOOK_S), _LOOK_S)
+            if len(counts):
+                self._sink.write(counts)
+            self._note(counts, stamp, self._sink.status())
 
     def _note(self, counts: Counts, stamp: float, status: SinkStatus) -> None:
         now = time.perf_counter()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 import wave
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hnf_core.actuators.chain import counts_of
+from hnf_core.actuators.chain import Chain, counts_of
 from hnf_core.actuators.limits import Limits
 from hnf_core.actuators.sinks.file import FileSink
 from hnf_core.actuators.sources.recorded import Recorded
@@ -99,10 +100,39 @@ def test_what_cannot_be_written_is_told_and_harms_nothing(tmp_path: Path) -> Non
         FileSink(tmp_path / "x.wav", 1000.5)
     (tmp_path / "file").write_bytes(b"")
     sink = FileSink(tmp_path / "file" / "x.wav", 1000.0)
+    with pytest.raises(DeviceError, match=r"x\.wav: cannot write here"):
+        sink.open()  # and not after all was played
+    (tmp_path / "file").unlink()
     sink.open()
+    assert list((tmp_path / "file").iterdir()) == [], "to look leaves nothing behind"
+    _taken_away(tmp_path / "file")
     with pytest.raises(DeviceError, match=r"x\.wav: cannot write here"):
         sink.finish(1.0)
     assert "cannot write here" in sink.status().problem
+    (tmp_path / "file").unlink()
     sink.open()
+    _taken_away(tmp_path / "file")
     sink.close()
     assert "cannot write here" in sink.status().problem
+
+
+def _taken_away(folder: Path) -> None:
+    folder.rmdir()
+    folder.write_bytes(b"")
+
+
+def test_a_stream_into_a_file_that_is_stopped_ends_softly(tmp_path: Path) -> None:
+    """As a device would have played it: all that was made, and the limiter's own way down."""
+    samples = np.random.default_rng(3).normal(0.0, 6.0, (30_000, 1)).astype(np.float32)
+    stream = Stream(Recorded(samples, 10_000.0, loop=True), FileSink(tmp_path / "x.wav", 10_000.0), LIMITS)
+    device = stream.start()
+    while stream.report.frames < 1000:
+        time.sleep(0.001)
+    stream.stop()
+    assert stream.report.problem == ""
+    chain = Chain(Recorded(samples, 10_000.0, loop=True), device, LIMITS)
+    blocks = [chain.block(50) for _ in range(stream.report.blocks)]
+    release = chain.limiter.release()
+    assert len(release) > 30
+    assert release[-1] == 0
+    assert (stored(tmp_path / "x.wav") == np.concatenate([*blocks, release])).all()

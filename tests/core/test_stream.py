@@ -280,9 +280,10 @@ def test_a_device_that_blocks_holds_up_nobody_who_stops(monkeypatch: pytest.Monk
 
 
 def test_a_file_that_cannot_be_written_is_told_after_a_stop_too(tmp_path: Path) -> None:
-    (tmp_path / "taken").write_text("a file, no folder")
     stream = Stream(Recorded(noise(LONG_S), 10000.0, loop=True), FileSink(tmp_path / "taken" / "x.wav", 10000), LIMITS)
     stream.start()
+    (tmp_path / "taken").rmdir()
+    (tmp_path / "taken").write_text("a file, no folder")
     stream.stop()
     assert str(tmp_path / "taken") in stream.report.problem
     assert at_rest()

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...errors import DeviceError, HnfError, UsageError
 from ...export.wav import SCHEMA, UNITS
-from ...files import write_bytes
+from ...files import check_writable, write_bytes
 from ..limits import COUNTS
 from ..sink import Counts, SinkFormat, SinkStatus
 
@@ -41,6 +41,10 @@ class FileSink:
     def open(self) -> SinkFormat:
         if self._path.is_dir():
             raise self._refused("it is a folder", "Name a .wav file.")
+        try:
+            check_writable(self._path)
+        except HnfError as error:
+            raise DeviceError(error.what, where=error.where, remedy=error.remedy) from error
         self._written, self._frames, self._open, self._problem = [], 0, True, ""
         queue = max(1, int(self._rate * QUEUE_S))
         return SinkFormat(float(self._rate), self._channels, queue, f"file {self._path}", coil=False, live=False)
