@@ -14,7 +14,8 @@ from ..props.scene import active_stroke, strokes_of
 from ..state.session import STATE
 from ..translations import tr
 from .greyed import greyed
-from .materials import UNDOABLE, felt_object
+from .materials import felt_object
+from .strokes import UNDOABLE
 
 if TYPE_CHECKING:  # what reads files is loaded with the first drop, not when the add-on is switched on
     from hnf_core.material.hnf_file import MaterialFile

@@ -14,8 +14,7 @@ from ..state.redraw import redraw_tab
 from ..translations import tr
 from .greyed import greyed
 from .preview import can_be_heard
-
-UNDOABLE = {"REGISTER", "UNDO"}
+from .strokes import UNDOABLE
 
 
 class HNF_OT_export(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801  # bpy has no types, Blender's naming

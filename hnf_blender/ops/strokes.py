@@ -358,8 +358,8 @@ class HNF_OT_stroke_solo(OfStroke, bpy.types.Operator):  # type: ignore[misc]  #
     def work(self, context: Any, stroke: Any) -> str:
         strokes = strokes_of(context.scene)
         own = [other for other in strokes if other.is_editable]
-        alone = not stroke.hnf_stroke.mute and all(other.hnf_stroke.mute for other in own if other != stroke)
-        alone = alone and len(strokes) > 1
+        others = [other.hnf_stroke.mute for other in own if other != stroke]
+        alone = not stroke.hnf_stroke.mute and bool(others) and all(others)
         for other in own:
             other.hnf_stroke.mute = other != stroke and not alone
         said = tr("All strokes") if alone else tr("Only {name}").format(name=stroke.name)

@@ -189,7 +189,7 @@ def test_the_searchable_list_is_the_library_grouped_by_category() -> None:
 
 def test_a_stroke_may_have_a_material_of_its_own() -> None:
     stroke = bpy.data.objects.new("Rub", bpy.data.curves.new("Rub", "CURVE"))
-    with pytest.raises(RuntimeError, match="stroke first"):
+    with pytest.raises(RuntimeError, match="No stroke is selected"):
         bpy.ops.hnf.stroke_material(name=library_items()[0][0])
     bpy.context.scene.collection.objects.link(stroke)
     stroke.hnf_stroke.is_stroke = True
