@@ -27,7 +27,8 @@ class FieldConfig:
     of the positional encoding of u(t), features.encode_action. directed: False for data that never told directions
     apart; the field then ignores d. line_gains: an output for each tone of the token's lattice, see lines; needs
     physics, log emission and arc carriers. stroke_frame: the network sees the token in the frame of the stroke instead
-    of token and d, see features.seen_from.
+    of token and d, see features.seen_from. Raises ValueError where past states are not a whole number of action
+    samples apart, one at least.
     """
 
     hidden: int = 256
@@ -43,6 +44,14 @@ class FieldConfig:
     directed: bool = True
     line_gains: bool = False
     stroke_frame: bool = False
+
+    def __post_init__(self) -> None:
+        if self.accumulation != "past":
+            return
+        steps = self.spacing_s * ACTION_RATE_HZ
+        if not 0.5 < steps < ACTION_RATE_HZ + 0.5 or abs(steps - round(steps)) > 1e-9 * steps:
+            step, given = 1.0 / ACTION_RATE_HZ, self.spacing_s
+            raise ValueError(f"spacing_s must lie between 0 and 1, a whole multiple of {step:g} s, not {given:g}")
 
     @staticmethod
     def published(hidden: int = 1024, layers: int = 4, states: int = 5) -> FieldConfig:

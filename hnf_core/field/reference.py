@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..action.action import Action
 from ..errors import UsageError
-from .carriers import ARC_BLOCK, MODEL_RATE_HZ, TIME_BLOCK, Carriers
+from .carriers import ARC_BLOCK, TIME_BLOCK, Carriers
 from .field import Field, evaluate
 from .rendering import render_weights
 from .stroke import StrokeInput
@@ -48,7 +48,7 @@ def texture_reference(
 ) -> Float:
     """Σ_n w_n Σ_k A_k c_k, literally. Returns (count,)."""
     config, carriers = field.config, field.config.carriers
-    lag = round(config.spacing_s * MODEL_RATE_HZ)
+    lag = config.stride * SAMPLES_PER_STATE
     out = np.zeros(count)
     for offset in range(0, count, 500):
         sample = start + offset + np.arange(min(500, count - offset))

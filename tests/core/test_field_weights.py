@@ -53,6 +53,8 @@ def test_whatever_a_description_says_it_is_refused_or_can_be_felt(name: str) -> 
 @pytest.mark.parametrize(
     ("name", "value", "words"),
     [
+        ("spacing_s", 0.0075, "a whole multiple of 0.005 s"),
+        ("spacing_s", 0.002, "a whole multiple of 0.005 s"),
         ("spacing_s", -0.01, "spacing_s must lie between 0 and 1"),
         ("spacing_s", float("nan"), "spacing_s must lie between 0 and 1"),
         ("states", 2.0, "states is 2.0, not of kind int"),
@@ -66,6 +68,15 @@ def test_whatever_a_description_says_it_is_refused_or_can_be_felt(name: str) -> 
 def test_it_is_said_what_cannot_be(name: str, value: object, words: str) -> None:
     with pytest.raises(WeightsError, match=words):
         read(changed(name, value))
+
+
+@pytest.mark.parametrize("spacing_s", [0.0, 0.002, 0.0075, -0.01, 1.005, np.nan, np.inf])
+def test_past_states_are_states_of_the_action(spacing_s: float) -> None:
+    """Other distances were rounded to a state of the action in one place, to a sample in another."""
+    with pytest.raises(ValueError, match=r"0\.005 s"):
+        FieldConfig(spacing_s=spacing_s)
+    assert [FieldConfig(spacing_s=0.005 * stride).stride for stride in range(1, 201)] == list(range(1, 201))
+    assert FieldConfig(accumulation="heads", spacing_s=0.0).alpha_heads == 5
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, '{"token": [1' + "0" * 400 + "]}", "[]", '{"token": "x"}'])
