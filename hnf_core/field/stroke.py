@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..action.action import Action
 from ..errors import StrokeError
 from ..material.mechanics import MECHANICS_LIMITS, Mechanics
+from ..material.probe import PROBES
 from ..material.token import LARGEST_VALUE, TOKEN_DIM
 from ..signal import Signal
 
@@ -94,6 +95,14 @@ def uniform_stroke(action: Action, token: NDArray[np.float32], mechanics: Mechan
 
 def _problem(stroke: StrokeInput) -> str:
     action, samples = stroke.action, len(stroke.action.speed)
+    if action.speed.ndim != 1:
+        return f"speed has shape {action.speed.shape}, not (n,)."
+    wanted = {"direction": (samples, 2), "force": (samples,), "position": (samples,), "contact": (samples,)}
+    for name, shape in wanted.items():
+        if getattr(action, name).shape != shape:
+            return f"{name} has shape {getattr(action, name).shape}, not {shape}."
+    if action.probe not in PROBES:
+        return f"there is no probe {action.probe!r}, only {' and '.join(PROBES)}."
     if stroke.tokens.ndim != 2 or stroke.tokens.shape[1] != TOKEN_DIM:
         return f"tokens have shape {stroke.tokens.shape}, not (M, {TOKEN_DIM})."
     if len(stroke.mechanics) != len(stroke.tokens):

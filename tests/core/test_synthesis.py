@@ -312,6 +312,15 @@ def test_louder_with_speed_and_roughness():
         (lambda s: {"token_index": s.token_index + 1}, "points outside"),
         (lambda s: {"tokens": s.tokens * np.nan}, "NaN"),
         (lambda s: {"action": dataclasses.replace(s.action, speed=-s.action.speed)}, "negative"),
+        (lambda s: {"action": dataclasses.replace(s.action, force=s.action.force[:-1])}, "force has shape"),
+        (
+            lambda s: {"action": dataclasses.replace(s.action, direction=s.action.direction[:, 0])},
+            "direction has shape",
+        ),
+        (lambda s: {"action": dataclasses.replace(s.action, position=s.action.position[1:])}, "position has shape"),
+        (lambda s: {"action": dataclasses.replace(s.action, contact=s.action.contact[:1])}, "contact has shape"),
+        (lambda s: {"action": dataclasses.replace(s.action, speed=s.action.speed[:, None])}, "speed has shape"),
+        (lambda s: {"action": dataclasses.replace(s.action, probe="brush")}, "no probe 'brush', only pen and finger"),
         (lambda s: {"profile": HeightProfile(0.0, 0.0, np.zeros(4), 1e-4)}, "profile"),
     ],
 )
