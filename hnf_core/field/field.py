@@ -27,6 +27,8 @@ from .rendering import render_weights
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
+UNTRAINED = "untrained"
+"""Identity of every field that was never saved."""
 Answers = tuple[Float32, Float32]
 """What the α head and the σ head say of n states, (n, …) each."""
 Answer = Callable[[Float32], Answers]
@@ -44,13 +46,18 @@ and 13 %."""
 @dataclass(frozen=True)
 class Field:
     """Architecture, parameters (float32, by name as in FieldConfig.shapes), training ranges, metadata, and identity
-    (content hash of the weights)."""
+    (content hash of the weights, UNTRAINED where there is no file of them; see same_field)."""
 
     config: FieldConfig
     parameters: Mapping[str, NDArray[np.float32]]
     ranges: Ranges | None = None
     metadata: Mapping[str, str] = field(default_factory=dict)
-    identity: str = "untrained"
+    identity: str = UNTRAINED
+
+
+def same_field(one: Field, other: Field) -> bool:
+    """Whether what one made may stand for what the other would make. Two that were never saved have one name."""
+    return one is other or (one.identity == other.identity and one.identity != UNTRAINED)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from .audible import blocks_of, is_heard
 from .contact_filter import LEAD, TAIL
-from .field import Field
+from .field import Field, same_field
 from .in_numpy import one_blas_thread_in_numpy
 from .modulation import states_read
 from .noise_ahead import noise_ahead
@@ -39,7 +39,7 @@ class Rendered:
     """A synthesised stroke, kept to start from. samples: (count,) float64 m/s² at the model rate. rendered: samples
     that were rendered for it; the others were there."""
 
-    field_id: str
+    field: Field
     stroke: StrokeInput
     prepared: Prepared
     samples: Float
@@ -73,13 +73,13 @@ def render(
                 raise Superseded
             samples[first : first + count] = render_block(prepared, first, count)
     synthesis = described(field, stroke, prepared, samples)
-    return Rendered(field.identity, stroke, prepared, samples, synthesis, sum(count for _, count in blocks))
+    return Rendered(field, stroke, prepared, samples, synthesis, sum(count for _, count in blocks))
 
 
 def same_path(earlier: Rendered, field: Field, stroke: StrokeInput, seed: int) -> bool:
     """Do the two differ in force and contact alone?"""
     mine, other = stroke, earlier.stroke
-    if (earlier.field_id, earlier.prepared.seed) != (field.identity, seed) or mine.mechanics != other.mechanics:
+    if not same_field(earlier.field, field) or earlier.prepared.seed != seed or mine.mechanics != other.mechanics:
         return False
     a, b = mine.action, other.action
     if (a.rate, a.probe, len(a.speed)) != (b.rate, b.probe, len(b.speed)):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..signal import Signal
-from .field import Field
+from .field import Field, same_field
 from .stroke import StrokeInput, Synthesis
 from .synthesis import synthesise
 from .weights import own_material
@@ -38,19 +38,18 @@ def parts_of(field: Field, stroke: StrokeInput) -> tuple[Part, ...]:
     A field of its own is asked as it was trained: with its own token and mechanics, and without a height under the
     path, for the relief that was recorded is in what it learned. Raises WeightsError where it names no material.
     """
-    own: dict[str, Field] = {each.identity: each for each in stroke.fields if each is not None}
+    own, of_row = _distinct(stroke.fields)
     if not own:
         return (Part(field, stroke),)
-    names = np.array(["" if each is None else each.identity for each in stroke.fields])
-    touched = names[stroke.token_index]
-    found = [name for name in ("", *own) if (touched == name).any()]
+    touched = of_row[stroke.token_index]
+    found = [index for index in range(-1, len(own)) if (touched == index).any()]
     return tuple(
         Part(
-            own.get(name, field),
-            _as_trained(own[name], stroke, names == name) if name else replace(stroke, fields=()),
-            None if len(found) == 1 else (touched == name).astype(np.float64),
+            field if index < 0 else own[index],
+            replace(stroke, fields=()) if index < 0 else _as_trained(own[index], stroke, of_row == index),
+            None if len(found) == 1 else (touched == index).astype(np.float64),
         )
-        for name in found
+        for index in found
     )
 
 
@@ -80,6 +79,20 @@ def synthesise_parts(field: Field, stroke: StrokeInput, *, seed: int) -> Synthes
     """synthesise(), with what the stroke's materials bring. Raises what that and parts_of() raise."""
     parts = parts_of(field, stroke)
     return together(parts, [synthesise(part.field, part.stroke, seed=seed) for part in parts])
+
+
+def _distinct(fields: Sequence[Field | None]) -> tuple[list[Field], NDArray[np.int32]]:
+    """Each field once, in the order in which they are met, and (M,) which of them each material brings, −1 = none."""
+    own: list[Field] = []
+    of_row = np.full(len(fields), -1, dtype=np.int32)
+    for row, each in enumerate(fields):
+        if each is None:
+            continue
+        known = [index for index, other in enumerate(own) if same_field(each, other)]
+        if not known:
+            own.append(each)
+        of_row[row] = known[0] if known else len(own) - 1
+    return own, of_row
 
 
 def _as_trained(field: Field, stroke: StrokeInput, rows: NDArray[np.bool_]) -> StrokeInput:

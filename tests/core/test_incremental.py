@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hnf_core.action.action import Action
 from hnf_core.field.audible import BLOCK
 from hnf_core.field.contact_filter import LEAD, LOADS_PER_OCTAVE, TAIL, filter_bank, impulse_response
+from hnf_core.field.field import Field, initial_parameters
 from hnf_core.field.incremental import Rendered, Superseded, render
 from hnf_core.field.stroke import HeightProfile, StrokeInput
 from hnf_core.field.synthesis import synthesise
@@ -60,6 +61,17 @@ def assert_equal_to_whole(found: Rendered, stroke: StrokeInput, seed: int = 5) -
     assert found.synthesis.signal.samples.tobytes() == whole.signal.samples.tobytes()
     assert (found.synthesis.confidence, found.synthesis.warnings) == (whole.confidence, whole.warnings)
     assert found.synthesis.signal == replace(whole.signal, samples=found.synthesis.signal.samples)
+
+
+def test_two_fields_that_were_never_saved_are_two() -> None:
+    """Nothing tells them apart by name: what one has made does not stand for what the other would make."""
+    config = replace(FIELD.config, hidden=8, layers=1)
+    one, other = (Field(config, initial_parameters(config, seed)) for seed in (1, 2))
+    loud = replace(other, parameters={**other.parameters, "alpha.bias": other.parameters["alpha.bias"] + 0.5})
+    earlier, whole = render(one, STROKE, seed=5), render(loud, STROKE, seed=5)
+    again = render(loud, STROKE, seed=5, earlier=earlier)
+    assert again.samples.tobytes() == whole.samples.tobytes() != earlier.samples.tobytes()
+    assert render(one, STROKE, seed=5, earlier=earlier).rendered == 0
 
 
 @settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

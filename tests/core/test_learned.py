@@ -17,7 +17,7 @@ from hnf_core.cli.train_needs import LEAST_PYTHON, PACKAGES
 from hnf_core.errors import FileError, StrokeError, WeightsError
 from hnf_core.field.carriers import Carriers
 from hnf_core.field.config import FieldConfig
-from hnf_core.field.field import Field, initial_parameters
+from hnf_core.field.field import UNTRAINED, Field, initial_parameters
 from hnf_core.field.learned import field_of, learned_material
 from hnf_core.field.live_material import synthesis_for_material
 from hnf_core.field.parts import parts_of, synthesise_parts
@@ -104,6 +104,13 @@ def test_on_its_material_alone_a_field_is_asked_as_it_was_trained() -> None:
     assert made.signal.samples.tobytes() == wanted.signal.samples.tobytes()
     assert made.signal.provenance["field"] == ROUGH.identity
     assert made.confidence == wanted.confidence
+
+
+def test_fields_that_were_never_saved_each_speak_for_themselves() -> None:
+    one, other = (replace(each, identity=UNTRAINED) for each in (ROUGH, OTHER))
+    parts = parts_of(load_field(), stroke_over(one, other, one))
+    assert [part.field for part in parts if part.field is one or part.field is other] == [one, other]
+    np.testing.assert_array_equal(sum(part.share for part in parts), np.ones(STATES))
 
 
 def test_each_field_speaks_where_its_material_is_touched_and_fades_at_the_border() -> None:
