@@ -29,12 +29,15 @@ AGAIN = "It keeps what it had; bake it again."
 
 @dataclass(frozen=True)
 class Place:
-    """Where the results belong. scene, view_layer: by name. uids: name (name_in) → session_uid of the scene's
-    objects when the job began, so that what was renamed meanwhile is found, and what took its name is not taken for
-    it."""
+    """Where the results belong: what was renamed meanwhile is found, and what took its name is not taken for it.
+
+    scene, view_layer: names when the job began. scene_uid: session_uid. layer_index: of the view layer, which has no
+    such number. uids: name (name_in) → session_uid of the scene's objects."""
 
     scene: str
+    scene_uid: int
     view_layer: str
+    layer_index: int
     uids: Mapping[str, int]
 
 
@@ -61,7 +64,15 @@ class _Ready:
 
 def place_of(scene: Any, view_layer: Any) -> Place:
     """As the scene is now."""
-    return Place(scene.name, view_layer.name, {name: obj.session_uid for name, obj in named_objects(scene).items()})
+    uids = {name: obj.session_uid for name, obj in named_objects(scene).items()}
+    return Place(scene.name, scene.session_uid, view_layer.name, scene.view_layers.find(view_layer.name), uids)
+
+
+def scene_of(place: Place) -> Any:
+    """Its scene, whatever that is called now; None where it is gone."""
+    import bpy
+
+    return next((scene for scene in bpy.data.scenes if scene.session_uid == place.scene_uid), None)
 
 
 def commit_steps(result: Result, folder: Path, place: Place) -> Generator[None, None, Committed]:
@@ -97,14 +108,14 @@ def _changes(place: Place) -> int:
 
 
 def _scene(place: Place) -> tuple[Any, Any]:
-    import bpy
-
-    scene = bpy.data.scenes.get(place.scene)
+    scene = scene_of(place)
     if scene is None:
         raise HnfError(
             "the scene that was baked is gone.", where=f"scene '{place.scene}'", remedy="Undo that, and bake again."
         )
-    return scene, scene.view_layers.get(place.view_layer) or scene.view_layers[0]
+    layers = scene.view_layers
+    found = layers.get(place.view_layer)
+    return scene, layers[min(place.layer_index, len(layers) - 1)] if found is None else found
 
 
 def _comparisons(

@@ -23,7 +23,7 @@ from ..state.session import STATE, JobStatus, LastJob
 from ..translations import tr
 from .child import Child, second_blender
 from .child_job import ChildJob
-from .commit import Committed, Place, commit_steps, place_of
+from .commit import Committed, Place, commit_steps, place_of, scene_of
 from .folder import new_folder, remove_folder
 from .messages import Began, Broken, Finished, Message, Step
 from .order import SCENE_NAME, Order, Result, read_result, write_order
@@ -88,7 +88,8 @@ class Bake(ChildJob):
         return self._end(LastJob(True, tr("Bake cancelled. Nothing was changed; finished close-ups are kept.")))
 
     def _end(self, ended: LastJob) -> LastJob:
-        return super()._end(ended._replace(scene=self._prepared.order.scene))
+        scene = scene_of(self._prepared.place)
+        return super()._end(ended._replace(scene=self._prepared.order.scene if scene is None else scene.name))
 
     def clean(self) -> None:
         if self._child is not None:

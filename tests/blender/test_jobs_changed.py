@@ -129,7 +129,9 @@ def test_edit_mode_keeps_bakes_and_asks_for_tokens_later(baked) -> None:
 
 
 def test_a_gone_scene_is_said(baked) -> None:
-    bpy.context.scene.name = "renamed"
+    scene = bpy.context.scene
+    bpy.data.scenes.new("Other")
+    bpy.data.scenes.remove(scene)
     with pytest.raises(HnfError, match="gone"):
         end(commit_steps(*baked))
     assert kept() == NOTHING
