@@ -45,7 +45,7 @@ class MaterialFile:
     encoder: makes of E that the token came from (token.joined_encoders). field: weights of a field that was trained for
     this material alone (field.learned reads them), empty = there is none and the shared one knows it by its token.
     Two are equal when their bytes are. Raises MaterialError where a value cannot be: an empty name, a token that is not
-    finite, a stiffness of zero.
+    finite, a stiffness of zero, or more in all than a file may hold.
     """
 
     name: str
@@ -75,6 +75,12 @@ class MaterialFile:
             for channel in () if value is None else np.ravel(value):
                 if not 0.0 <= channel <= 1.0:
                     raise MaterialError(f"{name} must lie between 0 and 1, not {channel:g}.")
+        size = len(self._header()) + TOKEN_DIM * sum(width for _, width in _TENSORS.values()) + len(self.field)
+        if size > LARGEST:
+            raise MaterialError(
+                f"its file would be of {size} bytes, and {LARGEST} ({LARGEST >> 20} MiB) are the most.",
+                remedy="Train its field with fewer units (hidden), or shorten its words.",
+            )
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, MaterialFile) and self.to_bytes() == other.to_bytes()
@@ -84,6 +90,10 @@ class MaterialFile:
 
     def to_bytes(self) -> bytes:
         """The file. Equal materials give equal bytes."""
+        token, known = self.token.values.astype("<f4").tobytes(), self.token.known.tobytes()
+        return self._header() + token + known + self.field
+
+    def _header(self) -> bytes:
         metadata = {
             "format": FORMAT,
             "encoder": self.encoder,
@@ -94,20 +104,19 @@ class MaterialFile:
             "appearance": json.dumps(asdict(self.appearance), sort_keys=True),
             "mechanics": json.dumps(asdict(self.mechanics), sort_keys=True),
         }
-        token, known = self.token.values.astype("<f4").tobytes(), self.token.known.tobytes()
-        header = {
-            "__metadata__": metadata,
-            "token": {"dtype": "F32", "shape": [TOKEN_DIM], "data_offsets": [0, len(token)]},
-            "known": {"dtype": "BOOL", "shape": [TOKEN_DIM], "data_offsets": [len(token), len(token) + len(known)]},
-        }
+        header: dict[str, Any] = {"__metadata__": metadata}
+        start = 0
+        for name, (dtype, width) in _TENSORS.items():
+            end = start + TOKEN_DIM * width
+            header[name] = {"dtype": dtype, "shape": [TOKEN_DIM], "data_offsets": [start, end]}
+            start = end
         if self.field:
-            start = len(token) + len(known)
             header[_FIELD] = {
                 "dtype": "U8", "shape": [len(self.field)], "data_offsets": [start, start + len(self.field)]
             }  # fmt: skip
         text = json.dumps(header, sort_keys=True).encode("utf-8")
         text += b" " * (-len(text) % 8)
-        return len(text).to_bytes(8, "little") + text + token + known + self.field
+        return len(text).to_bytes(8, "little") + text
 
     def complete(self, prior: LibraryMaterial) -> LibraryMaterial:
         """This material with nothing left open: what its token does not know comes from prior, and so does each

@@ -83,6 +83,18 @@ def test_it_is_a_safetensors_file(tmp_path: Path) -> None:
     assert parse_hnf(others, "written by another") == OAK
 
 
+def test_what_can_be_written_can_be_read_to_the_last_byte() -> None:
+    """A field of too many units is refused where the material is made, not when its file is opened again."""
+    room = LARGEST - len(replace(OAK, field=bytes(LARGEST - 4096)).to_bytes()) + LARGEST - 4096
+    largest = replace(OAK, field=bytes(room))
+    assert len(largest.to_bytes()) == LARGEST
+    assert parse_hnf(largest.to_bytes(), "memory").field == largest.field
+    for wrong in ({"field": bytes(room + 1)}, {"words": ("x" * LARGEST,)}):
+        with pytest.raises(MaterialError, match="16 MiB") as caught:
+            replace(OAK, **wrong)
+        assert "fewer units" in caught.value.remedy
+
+
 def test_every_library_material_survives_the_file(tmp_path: Path) -> None:
     for material in load_library():
         path = tmp_path / f"{material.name}.hnf"
