@@ -44,15 +44,15 @@ def lines_of(link: Link) -> tuple[str, ...]:
         return ()
     status, lines = heard.status, []
     if began is not None and began.play == status.play:
-        said = tr("{device}: {rate} Hz, up to {queue} ms late")
+        said = tr("{device}: {rate} Hz, delay up to {queue} ms")
         lines.append(said.format(device=began.device, rate=f"{began.rate_hz:g}", queue=f"{began.queue_ms:.0f}"))
     lines.append(tr("Highest so far: {share} of full scale").format(share=f"{status.peak:.0%}"))
     if status.temperature_c is not None:
         lines.append(tr("Coil at {temperature} °C").format(temperature=f"{status.temperature_c:.1f}"))
     if status.limited:
-        lines.append(tr("{count} samples were held back by the limits").format(count=status.limited))
+        lines.append(tr("{count} samples limited").format(count=status.limited))
     if status.nonfinite:
-        lines.append(tr("{count} samples were no numbers: played as 0").format(count=status.nonfinite))
+        lines.append(tr("{count} invalid samples (NaN) played as 0").format(count=status.nonfinite))
     if status.underruns:
         lines.append(tr("Samples came too late {count} times").format(count=status.underruns))
     if link.is_live and status.latency_p99_ms > 0.0:

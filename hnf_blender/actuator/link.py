@@ -41,7 +41,7 @@ from .sound import Sound
 
 SETTLE_S = 0.2
 """After a seek the positions that are told may still be those of before."""
-AGAIN = "Play again to start it anew."
+AGAIN = "Play again to restart it."
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ class Link:
     def live_material(self, material: MaterialFile) -> None:
         """See live.Feeler."""
         if self._where is None:
-            raise UsageError("there is no live touch that this material could be felt in.")
+            raise UsageError("no live touch is running that could take this material.")
         path = self._file(".hnf")
         self._number += 1
         self._playing, self._sound, self.problem = True, None, ""

@@ -91,14 +91,14 @@ def words(shown: Shown | None) -> tuple[str, ...]:
     """A thought a line."""
     lines, found = [], None if shown is None else shown.felt
     if found is not None:
-        said = tr("A skin would get: peak {peak} m/s², RMS {rms} m/s²; coil up to {temperature} °C")
+        said = tr("At the skin: peak {peak} m/s², RMS {rms} m/s²; coil up to {temperature} °C")
         lines += [said.format(peak=f"{found.peak:.3g}", rms=f"{found.rms:.3g}", temperature=f"{found.warmest:.1f}")]
         if found.held_back:
-            lines.append(tr("{count} samples would be held back by the limits").format(count=found.held_back))
+            lines.append(tr("{count} samples would be limited").format(count=found.held_back))
     if shown is not None and shown.without is not None and shown.made_up is not None:
         said = tr(
-            "On this actuator the stroke's bands are off by {rms} dB, at most {most} dB; without its inverse filter "
-            "{plain} and {worst} dB"
+            "On this actuator the stroke's bands are off by {rms} dB, at most {most} dB; uncorrected {plain} and "
+            "{worst} dB"
         )
         with_it, plain = (
             {"rms": f"{one.rms:.1f}", "most": f"{one.most:.1f}"} for one in (shown.made_up, shown.without)

@@ -153,7 +153,7 @@ def _check_gltf(path: Path) -> None:
     for uri in buffers:
         if uri and not uri.startswith("data:") and not (path.parent / unquote(uri)).is_file():
             raise FileError(
-                f"its data file '{unquote(uri)}' is missing.", where=str(path), remedy="Put it beside the .gltf file."
+                f"its data file '{unquote(uri)}' is missing.", where=str(path), remedy="Put it next to the .gltf file."
             )
 
 
@@ -225,7 +225,7 @@ def _one_line(message: str) -> str:
 
 def _splat(where: str) -> SceneError:
     return SceneError(
-        "is a Gaussian-splat scene of a kind that is not read.",
+        "is a Gaussian-splat scene of a kind that cannot be read.",
         where=where,
         remedy="Convert it to .ply with SuperSplat or splat-transform.",
     )

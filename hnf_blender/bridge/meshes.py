@@ -93,7 +93,7 @@ def _require_size(mesh: TriangleMesh, where: str) -> None:
     size = float(np.ptp(mesh.vertices, axis=0).max())
     if not SMALLEST_M <= size <= LARGEST_M:
         raise SceneError(
-            f"it is {size:.2g} m across, and nothing like that is touched by hand.", where=where,
+            f"it is {size:.2g} m across: too large to touch by hand.", where=where,
             remedy="Check the unit scale (Scene properties > Units) and the object's own scale.",
         )  # fmt: skip
 

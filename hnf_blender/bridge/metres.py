@@ -41,4 +41,4 @@ def size_warning(obj: Any, metres: float) -> str | None:
         unit = f"If it is drawn in centimetres, one unit is {metres * 0.01:g} m; in millimetres, {metres * 0.001:g} m"
     else:
         unit = f"Perhaps one unit is more than {metres:g} m"
-    return f"object '{obj.name}' is {size} across. {unit}: say so under Units in the Touch tab."
+    return f"object '{obj.name}' is {size} across. {unit}: set it under Units in the Touch tab."

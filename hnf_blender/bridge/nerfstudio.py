@@ -52,7 +52,7 @@ def geometry_of(path: Path) -> Path:
     found = [*coloured, *splats, *there]
     if not found:
         raise FileError(
-            f"no geometry stands beside it (looked for {', '.join((*MESHES, SPLATS))}).",
+            f"there is no geometry next to it (looked for {', '.join((*MESHES, SPLATS))}).",
             where=str(path),
             remedy="Export it with ns-export gaussian-splat or ns-export poisson into the same folder.",
         )

@@ -133,7 +133,7 @@ def tap_slot(stage: Stage, slot: int, where: str) -> SlotReading:
     """Replace the material in slot by a copy with taps, unlit. Raises SceneError for a missing texture."""
     slots = stage.actor.material_slots
     bare = (
-        f"{where} has no material there: its name alone tells what it may be made of. Give it one, or say what it is "
+        f"{where} has no material there: its feel is guessed from its name alone. Give it one, or say what it is "
         "under Feels in the Touch tab."
     )
     if slot >= len(slots) or slots[slot].material is None:

@@ -129,7 +129,7 @@ def read_stroke(
     if keyed.max() > FORCE_MAX_N * 1.001:
         notes = (f"{where}: its force curve reaches {keyed.max():.3g} N and is held at {FORCE_MAX_N:g} N.",)
     if law == "PROGRESS" and group.law != "PROGRESS":
-        notes += (f"{where}: progress is keyed, so its {group.law.lower()} law is not used.",)
+        notes += (f"{where}: progress is keyed, so its {group.law.lower()} timing is not used.",)
     return SceneStroke(
         name=name_in(scene, obj),
         object_name=name_in(scene, target),

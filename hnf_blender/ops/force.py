@@ -34,7 +34,7 @@ class HNF_OT_stroke_key_force(bpy.types.Operator):  # type: ignore[misc]  # noqa
 
     force_n: bpy.props.FloatProperty(
         name="Force",
-        description="Newtons; below 0 keys the force as it is set",
+        description="Newtons; below 0 keys the current force",
         default=-1.0,
         min=-1.0,
         max=FORCE_MAX_N,

@@ -71,7 +71,7 @@ def export_folder(scene: Any) -> Path:
     text = str(scene.hnf.export_folder)
     if text.startswith("//") and not bpy.data.filepath:
         raise FileError(
-            f"the export folder '{text}' is beside this .blend, which is not saved yet.",
+            f"the export folder '{text}' is relative to this .blend, which is not saved yet.",
             where="export",
             remedy="Save the file (Ctrl S), or choose a folder in the Export panel.",
         )

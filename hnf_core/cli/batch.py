@@ -42,7 +42,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         "       hnf batch train field --material NAME… --out DIR [options, and those of hnf train]",
         description="Each job runs in a process of its own and writes a folder of its own in DIR. What --material, "
         "--weights, --stroke, --action and --seed name several times makes a job for each combination. The same "
-        "command again goes on where it was. Needs the extra [batch].",
+        "command again resumes where it was. Needs the extra [batch].",
     )
     parser.add_argument("what", metavar="JOBS|VERB", help="a file of jobs (docs/batch.md), or touch, synth, train")
     _add_options(parser)

@@ -47,7 +47,7 @@ def _add_field(subjects: Any) -> None:
         help="a field for one material",
         description="Train F_Θ for one material and write its weights for `hnf synth --weights`. Recordings are read "
         "from the folder; where a data set holds texture models, strokes are first synthesised from them. A killed run "
-        "goes on where it was when the same command is given again. Needs the extra [train].",
+        "resumes where it was when the same command is given again. Needs the extra [train].",
     )
     parser.add_argument(
         "--data", nargs="+", required=True, metavar=("KIND", "DIR"),

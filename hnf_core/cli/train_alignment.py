@@ -23,7 +23,7 @@ def add_parser(subjects: Any) -> None:
         "alignment",
         help="one space for looks and the touch of two sensors",
         description="Train two ResNet-50 encoders, of looks and of touch, by contrast (docs/alignment.md), and write "
-        "vision.safetensors, touch.safetensors and alignment.json. A killed run goes on where it was when the same "
+        "vision.safetensors, touch.safetensors and alignment.json. A killed run resumes where it was when the same "
         "command is given again.",
     )
     add_data(parser)

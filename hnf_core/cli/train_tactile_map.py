@@ -26,7 +26,7 @@ def add_parser(subjects: Any) -> argparse.ArgumentParser:
         "tactile-map",
         help="the network that predicts tactile maps from a look",
         description="Train D_φ (colour and depth → tactile map) on paired views and write its weights. A killed run "
-        "goes on where it was when the same command is given again. Needs the extra [train].",
+        "resumes where it was when the same command is given again. Needs the extra [train].",
     )
     parser.add_argument(
         "--data", required=True, metavar="DIR",

@@ -86,7 +86,7 @@ def test_speakers_are_what_is_chosen_where_nothing_was(switched_on) -> None:
     assert chosen_output() == SPEAKERS
     shown = panel()
     assert "Speakers (Blender)" in shown.words
-    assert "limits are not kept" in shown.words.replace("\n", " ")
+    assert "limits do not apply" in shown.words.replace("\n", " ")
     assert "hnf.live_touch" not in shown.operators
     for button in (bpy.ops.hnf.actuator_test, bpy.ops.hnf.live_touch):
         with pytest.raises(RuntimeError, match="choose an actuator"):
@@ -112,7 +112,7 @@ def test_a_stroke_is_felt_on_the_virtual_actuator(stroke) -> None:
     assert ACTUATOR.facts.problem == ""
     assert LINK.newest.status.peak > 0.0
     until(lambda: ACTUATOR.facts.phase is Phase.READY)
-    assert "free for others" in panel().words.replace("\n", " ")
+    assert "device released" in panel().words.replace("\n", " ")
 
 
 def test_a_looped_stroke_goes_on_as_a_and_as_now(stroke) -> None:
@@ -236,7 +236,7 @@ def test_without_sounddevice_a_sound_output_is_played_whole(virtual, monkeypatch
     assert plays_whole("audio:Card")
     assert not plays_whole(VIRTUAL)
     shown = panel()
-    assert "Live touch needs sounddevice" in shown.words.replace("\n", " ")
+    assert "Live Touch needs the Python package sounddevice" in shown.words.replace("\n", " ")
     assert "hnf.live_touch" not in shown.operators
     assert "hnf.actuator_test" in shown.operators
     with pytest.raises(RuntimeError, match="install sounddevice"):
@@ -322,12 +322,12 @@ def test_on_the_virtual_actuator_the_panel_says_what_a_skin_would_get(stroke) ->
         return bool(ACTUATOR.skin)
 
     assert until(told)
-    assert "A skin would get" in panel().words
-    strong = [line for line in ACTUATOR.skin if "held back" in line]
+    assert "At the skin" in panel().words
+    strong = [line for line in ACTUATOR.skin if "would be limited" in line]
     bpy.context.scene.hnf.actuator, bpy.context.scene.hnf.own_peak_m_s2 = "own", 0.05
-    assert until(lambda: told() and [line for line in ACTUATOR.skin if "held back" in line] != strong)
+    assert until(lambda: told() and [line for line in ACTUATOR.skin if "would be limited" in line] != strong)
     assert not told(None)
-    assert "A skin would get" not in panel().words
+    assert "At the skin" not in panel().words
 
 
 def test_the_panel_says_what_goes_on_and_what_went_wrong(virtual) -> None:

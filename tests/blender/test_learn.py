@@ -185,7 +185,7 @@ def test_a_lesson_goes_on_after_a_cancel_and_its_material_is_heard(warm_bake, le
     assert current.cancel()
     assert is_gone(pid)
     assert STATE.job is None
-    assert "go on where it was" in STATE.last_job.message
+    assert "with the same choices to resume" in STATE.last_job.message
     assert [path.suffix for path in learned.iterdir()] == [".checkpoint"]
     assert own_word(plate.active_material) == ""
 

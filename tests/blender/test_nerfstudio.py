@@ -159,7 +159,7 @@ def test_points_alone_are_refused_and_nothing_is_given_up(copied) -> None:
     with pytest.raises(SceneError, match="points without faces"):
         open_scene(copied / "transforms.json")
     (copied / "point_cloud.ply").unlink()
-    with pytest.raises(FileError, match="no geometry stands beside it"):
+    with pytest.raises(FileError, match="there is no geometry next to it"):
         open_scene(copied / "transforms.json")
     assert kept in bpy.data.objects
 

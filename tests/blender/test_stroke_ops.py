@@ -128,7 +128,7 @@ def test_a_curve_becomes_a_stroke():
     select(line, other)
     assert bpy.ops.hnf.stroke_from_curve() == {"FINISHED"}
     select(line)
-    with pytest.raises(RuntimeError, match="no stroke yet"):
+    with pytest.raises(RuntimeError, match="not a stroke yet"):
         bpy.ops.hnf.stroke_from_curve()
     select(two)
     assert bpy.ops.hnf.stroke_from_curve() == {"CANCELLED"}
@@ -311,7 +311,7 @@ def test_copy_a_force_that_is_not_keyed():
 def test_copy_needs_somebody_to_take_it():
     given, _ = given_and_taken()
     select(given)
-    with pytest.raises(RuntimeError, match="Select the strokes that are to get"):
+    with pytest.raises(RuntimeError, match="Select the strokes to copy the force to"):
         bpy.ops.hnf.stroke_copy_force()
 
 

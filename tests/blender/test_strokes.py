@@ -203,7 +203,7 @@ def test_speed_and_duration_laws():
     obj.hnf_stroke.law = "SPEED"
     stroke = read(obj)
     assert stroke.law == "PROGRESS"
-    assert "speed law is not used" in stroke.notes[0]
+    assert "speed timing is not used" in stroke.notes[0]
 
 
 def test_nan_keyframes_name_stroke_and_frame():

@@ -221,7 +221,7 @@ def test_a_renamed_surface_or_material_is_shown_as_stale_and_bakes_to_the_same(s
     plate = bpy.data.objects["Plate"]
     (plate if what == "surface" else plate.material_slots[0].material).name = "Other"
     assert statuses() == {"Along": STALE, "Below": FRESH}
-    named = {"surface": "the name of its surface", "material": "the materials of the surface"}[what]
+    named = {"surface": "surface name", "material": "the materials of the surface"}[what]
     assert named in STATE.strokes["Along"].why
     bake()
     assert statuses() == {"Along": FRESH, "Below": FRESH}

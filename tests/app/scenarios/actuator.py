@@ -274,10 +274,10 @@ def check_a_measured_actuator(stage):
     def told() -> str:
         return " ".join(ours("actuator.state").ACTUATOR.skin)
 
-    yield from stage.until("how far its bands are off is told", lambda: "without its inverse filter" in told(), SOON_S)
+    yield from stage.until("how far its bands are off is told", lambda: "uncorrected" in told(), SOON_S)
     yield from stage.picture("measured", settle=0.8)
     settings.actuator = "generic-voice-coil"
-    yield from stage.until("and not of another", lambda: "inverse filter" not in told(), SOON_S)
+    yield from stage.until("and not of another", lambda: "uncorrected" not in told(), SOON_S)
 
 
 def check_another_file_is_silence(stage):
