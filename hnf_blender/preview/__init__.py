@@ -185,10 +185,11 @@ def _sound(context: Any, heard: set[str], timeline_plays: bool) -> None:
 
     from . import current
 
-    if PREVIEW.play_when_ready in heard or PREVIEW.sounding in heard:
-        name = PREVIEW.play_when_ready or PREVIEW.sounding
-        begin = current.play if PREVIEW.play_when_ready else current.go_on
-        PREVIEW.play_when_ready = ""
+    is_ready = PREVIEW.play_when_ready in heard
+    if is_ready or PREVIEW.sounding in heard:
+        name, begin = PREVIEW.sounding, current.go_on
+        if is_ready:
+            name, begin, PREVIEW.play_when_ready = PREVIEW.play_when_ready, current.play, ""
         try:
             begin(name, context.scene)
         except HnfError as error:

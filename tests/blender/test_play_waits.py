@@ -1,0 +1,50 @@
+"""A Play that waits for its signal is kept until that one comes, whatever else comes first."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import bpy
+import pytest
+
+from hnf_blender import preview
+from hnf_blender.preview import current
+from hnf_blender.preview.facts import PREVIEW
+
+
+@pytest.fixture
+def begun(monkeypatch):
+    """What was played anew or went on, in order."""
+    done = []
+    for name in ("play", "go_on"):
+        monkeypatch.setattr(current, name, lambda stroke, _scene, name=name: done.append((name, stroke)))
+    monkeypatch.setattr(current, "tell", lambda *_: None)
+    PREVIEW.clear()
+    yield done
+    PREVIEW.clear()
+
+
+def hear(*names):
+    preview._sound(SimpleNamespace(scene=bpy.context.scene), set(names), timeline_plays=False)
+
+
+def test_what_sounds_goes_on_and_what_waits_is_played_in_its_turn(begun):
+    PREVIEW.sounding, PREVIEW.play_when_ready = "Sounds", "Waits"
+    hear("Sounds")
+    assert begun == [("go_on", "Sounds")]
+    assert PREVIEW.play_when_ready == "Waits"
+    hear("Other")
+    hear("Waits")
+    assert begun == [("go_on", "Sounds"), ("play", "Waits")]
+    assert PREVIEW.play_when_ready == ""
+
+
+def test_both_at_once_play_what_was_asked_for_last(begun):
+    PREVIEW.sounding, PREVIEW.play_when_ready = "Sounds", "Waits"
+    hear("Sounds", "Waits")
+    assert begun == [("play", "Waits")]
+
+
+def test_with_nothing_waited_for_a_signal_is_only_heard(begun):
+    hear("Other")
+    assert begun == []
