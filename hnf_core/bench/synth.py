@@ -41,7 +41,7 @@ WINDOWS, QUICK_WINDOWS, WINDOW = 5, 2, 500
 """Stretches all over the stroke in which the literal model's pace is measured, and their samples."""
 TOLERANCES_DB = (-30.0, -35.0, -40.0, -50.0)
 KEPT_DB = (-35.0, -40.0)
-TABLE_TOLERANCE = 10.0 ** (-34.0 / 20.0)
+TABLE_TOLERANCE = 10.0 ** (-32.5 / 20.0)
 """What states may leave out, so that all of it is −40 dB off."""
 SEED = 11
 AS_IN_SCENES = "every state"

@@ -21,6 +21,7 @@ from ..material.probe import PROBES
 from ..signal import Signal
 from .adaptive import accumulated, sample_emission
 from .audible import BLOCK, audible_gain, blocks_of, heard_spans, is_heard
+from .breakpoints import breakpoints_of
 from .carriers import MODEL_RATE_HZ, Carriers
 from .contact_filter import LEAD, TAIL, FilterBank, filter_bank
 from .extrapolation import at_ceiling, examine
@@ -45,7 +46,6 @@ from .timeline import (
     states_in,
     states_of,
 )
-from .turns import turns
 
 Float = NDArray[np.float64]
 Evaluate = Callable[[Field, Condition], Emission]
@@ -64,7 +64,7 @@ class Prepared:
     the model rate; None for one at each of the n states. profile_amplitude: (n, Ka) factor on the profile's bands.
     force: (n,) N as pressed. audible: (count,) 0 … 1, zero far from contact.
     loudest: the field's largest amplitude in each portion of states, m/s². unheld: profile_amplitude as it is
-    evaluated, before it is held where the hand rests. missed: power that knots leave out, over that of all.
+    evaluated, before it is held where the hand rests. missed: share of the power that knots leave out, see Sampled.
     origin: the sample of the carriers' clock at which this begins, where it is a piece of a longer stroke.
     """
 
@@ -108,9 +108,12 @@ def synthesise(
 
 def fallen_short(missed: float, tolerance: float | None) -> tuple[str, ...]:
     """What there is to say of a stroke that was not followed as closely as was asked for. missed: see Prepared."""
-    if tolerance is None or missed <= tolerance**2:
+    if tolerance is None or missed <= tolerance**2 * (1.0 + 1e-9):
         return ()
-    return (f"the tolerance is missed: {10.0 * np.log10(missed):.0f} dB is as near as this stroke was followed.",)
+    return (
+        f"the tolerance of {20.0 * np.log10(tolerance):.0f} dB is not kept: the field changes faster along this stroke "
+        f"than it is followed, which is to within about {10.0 * np.log10(missed):.0f} dB.",
+    )
 
 
 def synthesised(
@@ -230,7 +233,7 @@ def _prepare_within(
             alpha[rows], sigma_dt[rows] = found.alpha, found.sigma_dt
         return Emission(alpha, sigma_dt)
 
-    sampled = sample_emission(emit, count, tolerance, turns(action, token_index))
+    sampled = sample_emission(emit, count, tolerance, breakpoints_of(action, token_index))
     knots, amplitude = accumulated(field.config, sampled, count)
     if carriers.arc_count:
         pace, state = fastest(action), knots // SAMPLES_PER_STATE

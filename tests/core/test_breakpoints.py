@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
+from hnf_core.field.breakpoints import BENT, breakpoints_of
 from hnf_core.field.linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S
 from hnf_core.field.timeline import SAMPLES_PER_STATE
-from hnf_core.field.turns import BENT, turns
 from hnf_core.kernel.library import kernel, plainly, why_not
 from hnf_core.kernel.turns import bends
 
@@ -36,16 +36,16 @@ strokes = given(st.integers(0, 10**6), st.integers(2, 300), st.sampled_from([0.0
 @strokes
 def test_the_kernel_turns_where_numpy_does(seed, count, restless):
     stroke = wandering(seed, count, restless)
-    found = turns(*stroke)
+    found = breakpoints_of(*stroke)
     with plainly():
-        np.testing.assert_array_equal(found, turns(*stroke))
+        np.testing.assert_array_equal(found, breakpoints_of(*stroke))
 
 
 @settings(max_examples=80, deadline=None)
 @strokes
 def test_between_two_turns_it_is_straight_on_one_material_and_either_touches_or_not(seed, count, restless):
     action, material = wandering(seed, count, restless)
-    found = turns(action, material)
+    found = breakpoints_of(action, material)
     kept = found[found % SAMPLES_PER_STATE == 0] // SAMPLES_PER_STATE
     assert (np.diff(found) > 0).all()
     assert kept[0] == 0
@@ -66,7 +66,7 @@ def test_an_even_stroke_turns_nowhere():
         ACTION_RATE_HZ, np.tile([1.0, 0.0], (200, 1)), np.full(200, 0.1), np.ones(200), np.arange(200) * 5e-4,
         np.ones(200, bool),
     )  # fmt: skip
-    assert turns(action, np.zeros(200, np.int32)).tolist() == [0, 199 * SAMPLES_PER_STATE]
+    assert breakpoints_of(action, np.zeros(200, np.int32)).tolist() == [0, 199 * SAMPLES_PER_STATE]
 
 
 def test_a_course_without_its_ends_never_reaches_the_kernel():

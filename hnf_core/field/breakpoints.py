@@ -1,4 +1,4 @@
-"""Where a hand turns: what lies between two evaluations of F_Θ must not hide there.
+"""Breakpoints of the action: samples that adaptive evaluation of F_Θ must not skip, since the hand bends there.
 
 An action is known at every state and costs nothing to read. A tap, a stop or a push shorter than the distance between
 two evaluations would otherwise never be asked for.
@@ -19,11 +19,11 @@ Float = NDArray[np.float64]
 Samples = NDArray[np.int64]
 
 BENT = 0.25
-"""Of log speed, log force and direction (radians): what the straight lines between turns may leave out. F_Θ answers to
-them about one to one, and what it makes of such a bend is told from the middle between two turns."""
+"""Largest deviation of log speed, log force and direction (radians) from the straight line between two breakpoints.
+F_Θ answers to them about one to one, and what it makes of such a bend is seen in the middle between two of them."""
 
 
-def turns(action: Action, token_index: NDArray[np.int32]) -> Samples:
+def breakpoints_of(action: Action, token_index: NDArray[np.int32]) -> Samples:
     """Samples of the model rate, ascending, between which an action at ACTION_RATE_HZ is straight within BENT, on one
     material, and in contact or in the air throughout: states, and places between two of them."""
     force = np.where(action.contact, np.maximum(action.force, FORCE_FLOOR_N), FORCE_FLOOR_N)
