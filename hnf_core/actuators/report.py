@@ -39,7 +39,8 @@ class StreamReport:
     """state: ready, playing, paused or ended. device: as it calls itself. blocks: made; frames: that the sink got.
     underruns: times that the device missed frames. errors: damaged or lost frames of the wire. compute_p99_ms: of a
     block, from its source to ready counts; compute_cpu_p99_ms: of that, what the thread computed. latency_p99_ms: from
-    the moment a block was asked of the source until the sink had it. peak: largest level that left, as a share of full
+    the moment a block was asked of the source until the sink had it; a resampler that is not prompt gives many blocks
+    in one lump, whose last samples wait until the first are played. peak: largest level that left, as a share of full
     scale. limited_samples, nonfinite_samples: changed by the limiter. device_limited_samples: by the device's own
     limits, behind ours. played_s: by the device. level_m_s2: RMS of the last 20 ms or so.
     temperature_c: of the coil, where it is told. resampler: what converts the rate. realtime: the system
