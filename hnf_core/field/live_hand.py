@@ -59,13 +59,12 @@ class LiveHand:
             self._events.clear()
             return
         if not self._events:
-            self._velocities.clear()
-            self._forces.clear()
+            self._begin_anew()
         self._material, last = event.material, self._events[-1] if self._events else None
         if last is not None:
             gone = ((event.x_m - last.x_m) ** 2 + (event.y_m - last.y_m) ** 2) ** 0.5
             if gone > FASTEST_M_S * max(event.time_s - last.time_s, STATE_S):
-                self._events.clear()
+                self._begin_anew()
             elif event.time_s <= last.time_s:
                 event = HandEvent(last.time_s, event.x_m, event.y_m, event.force_n, event.material)
                 self._events.pop()
@@ -74,7 +73,7 @@ class LiveHand:
     def state(self, time_s: float, from_m: float = 0.0, materials: int | None = None) -> LiveState:
         """The state at time_s, STATE_S after the one before. from_m: where its position is 0. materials: how many there
         are; one beyond is the last."""
-        material = self._material if materials is None else min(self._material, materials - 1)
+        material = self._material if materials is None else max(min(self._material, materials - 1), 0)
         if not self._events:
             return LiveState(self._direction, 0.0, self._place - from_m, 0.0, False, material)
         self._velocities.append(self._velocity(time_s))
@@ -86,6 +85,11 @@ class LiveHand:
         self._place += speed * STATE_S
         force = sum(self._forces) / len(self._forces)
         return LiveState(self._direction, speed, self._place - from_m, force, True, material)
+
+    def _begin_anew(self) -> None:
+        """What was before a touch, or before a jump, is no part of how the hand moves and presses now."""
+        for remembered in (self._events, self._velocities, self._forces):
+            remembered.clear()
 
     def _velocity(self, time_s: float) -> tuple[float, float]:
         end = max(self._events[-1].time_s, time_s - self._gap())

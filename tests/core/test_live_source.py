@@ -86,8 +86,17 @@ def test_a_jump_is_no_motion():
     for k in range(5):
         hand.take(HandEvent(0.01 * k, 0.001 * k, 0.0, 1.0))
         hand.state(0.01 * k)
-    hand.take(HandEvent(0.05, 300.0, 0.0, 1.0))
-    assert all(hand.state(0.05 + STATE_S * k).speed < 0.11 for k in range(20))
+    place = hand.state(0.045).position
+    hand.take(HandEvent(0.05, 300.0, 0.0, 3.0))
+    states = [hand.state(0.05 + STATE_S * k) for k in range(20)]
+    assert {(state.speed, state.position, state.force) for state in states} == {(0.0, place, 3.0)}
+
+
+def test_a_material_is_one_of_those_that_there_are():
+    hand = LiveHand()
+    for material, materials, wanted in ((3, None, 3), (3, 2, 1), (0, 1, 0), (3, 0, 0), (-2, 4, 0)):
+        hand.take(HandEvent(0.0, 0.0, 0.0, 1.0, material))
+        assert hand.state(0.0, materials=materials).material == wanted
 
 
 @settings(max_examples=60, deadline=None)
