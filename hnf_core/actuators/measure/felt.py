@@ -16,6 +16,7 @@ from ..sink import SinkFormat
 from ..sources.recorded import Recorded
 from .bands import PER_OCTAVE, third_octaves
 
+UNKNOWN_RANGE_HZ = (20.0, 1000.0)
 LEAST_ASKED = 1e-6
 """Of the strongest band's power: where less was asked for, a figure in dB would tell of rounding."""
 
@@ -49,9 +50,9 @@ def felt(signal: Signal, profile: ActuatorProfile, *, compensate: bool) -> Felt:
 
 
 def felt_bands(asked: Signal, got: Signal, profile: ActuatorProfile) -> tuple[Band, ...]:
-    """Power per third of an octave within the actuator's range (20 Hz to 1 kHz where it is not known): before, what was
-    asked for, 0 where it is next to nothing; after, what was got."""
-    low, high = profile.range_hz or (20.0, 1000.0)
+    """Power per third of an octave within the actuator's range, or UNKNOWN_RANGE_HZ: before, what was asked for, 0
+    where it is next to nothing; after, what was got."""
+    low, high = profile.range_hz or UNKNOWN_RANGE_HZ
     centres = third_octaves(low, min(high, 0.5 * asked.sample_rate))
     half = 2.0 ** (0.5 / PER_OCTAVE)
     edges = (*(float(centre / half) for centre in centres), float(centres[-1] * half)) if len(centres) else ()
