@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import signal
-import sys
 import time
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, replace
@@ -23,14 +22,13 @@ from ..bridge.scene_names import object_in
 from .deliver import deliver, save_baked
 from .feel import BakedStroke, feel
 from .jobs import Gathered, Job, Session, gather
-from .options import with_option
 from .outside import outside_files
 from .plan import TYPICAL_PATH_M, Fresh, Needed, Plan, patches_at_most
-from .probe_report import probe_line
 from .probe_run import keep_strokes, run_probes, with_probes, without_strokes
 from .report import Report, StrokeReport, earlier_strokes
 from .routes import slot_plans
 from .steps import CACHE_NAME, bake_steps, timed
+from .tell import tell
 from .tokens import store_tokens
 from .view import Views
 
@@ -88,7 +86,7 @@ def _touch(request: TouchRequest) -> int:
         bar.close()
         report.timings["total_s"] = round(time.monotonic() - started, 3)
         report.write(request.folder)
-    return _tell(report, request)
+    return tell(report, request)
 
 
 def touch_steps(
@@ -239,31 +237,6 @@ def _feel(session: Session, job: Job, baked: BakedStroke, views: Views, report: 
         for note in notes:
             report.warn(note)
         return deliver(session.request.folder, job, baked, felt, view, {stroke.wav for stroke in report.strokes})
-
-
-def _tell(report: Report, request: TouchRequest) -> int:
-    """The result for a person, or as JSON; problems go to stderr, one line each."""
-    if request.as_json:
-        print(report.as_json(), end="")
-    else:
-        for entry in report.probes:
-            print(
-                f"{probe_line(entry)} → {request.folder / (entry['tactile_map'] or {}).get('picture', 'report.json')}"
-            )
-        for stroke in () if request.only_probes else report.strokes:
-            state = "  (up to date)" if stroke.fresh else ""
-            print(
-                f"{stroke.name}: {stroke.library_material} ({stroke.confidence:.0%}), {stroke.duration_s:.2f} s, "
-                f"{stroke.rms_m_s2:.3g} m/s² RMS → {request.folder / stroke.wav}{state}"
-            )
-        counts = report.counts
-        print(f"{counts.renders} renders, {counts.rays} rays, {counts.network_calls} network calls, "
-              f"{counts.diffusion_calls} reliefs estimated; report: {request.folder / 'report.json'}")  # fmt: skip
-    for warning in report.warnings:
-        print(f"note: {with_option(warning)}", file=sys.stderr)
-    for failed in report.failed:
-        print(f"hnf: {failed.why}", file=sys.stderr)
-    return 1 if report.failed else 0
 
 
 @contextlib.contextmanager

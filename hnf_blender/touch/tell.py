@@ -1,0 +1,84 @@
+"""What a run tells a person at the end: each result in a line, what to be careful of, and where to look, listen and go
+on."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from hnf_core.cli.program import program
+from hnf_core.cli.touch import TouchRequest
+
+from .options import with_option
+from .probe_report import probe_line
+from .report import REPORT_NAME, Report, StrokeReport
+
+
+def tell(report: Report, request: TouchRequest) -> int:
+    """The result for a person, or as JSON; notes and problems go to stderr, one line each. Returns the exit code."""
+    folder = request.folder
+    if request.as_json:
+        print(report.as_json(), end="")
+    else:
+        for entry in report.probes:
+            print(f"{probe_line(entry)} → {folder / (entry['tactile_map'] or {}).get('picture', REPORT_NAME)}")
+        for stroke in () if request.only_probes else report.strokes:
+            print(stroke_line(stroke, folder))
+    sys.stdout.flush()  # else the notes would come before what they are about
+    for warning in report.warnings:
+        print(f"note: {with_option(warning)}", file=sys.stderr)
+    for failed in report.failed:
+        print(f"hnf: {failed.why}", file=sys.stderr)
+    if not request.as_json:
+        sys.stderr.flush()
+        for line in closing(report, folder, with_strokes=not request.only_probes):
+            print(line)
+    return 1 if report.failed else 0
+
+
+def stroke_line(stroke: StrokeReport, folder: Path) -> str:
+    """One stroke in one line."""
+    state = "  (up to date)" if stroke.fresh else ""
+    return (
+        f"{stroke.name}: {stroke.library_material}, {stroke.confidence:.0%} confidence, {stroke.duration_s:.2f} s, "
+        f"{stroke.rms_m_s2:.3g} m/s² RMS → {folder / stroke.wav}{state}"
+    )
+
+
+def closing(report: Report, folder: Path, *, with_strokes: bool = True) -> list[str]:
+    """What there is now, and what to do with it; nothing where nothing came of the run."""
+    strokes = report.strokes if with_strokes else []
+    if not strokes and not report.probes:
+        return []
+    things = [counted(len(strokes), "stroke")] if strokes else []
+    things += [counted(len(report.probes), "place")] if report.probes else []
+    lines = [f"Done: {' and '.join(things)} in {folder}. {_work(report)}"]
+    lines += [f"  {head:<8} {text}" for head, text in _next_steps(report, strokes, folder)]
+    return lines
+
+
+def _work(report: Report) -> str:
+    """What it took, where that says something to a person; the counts stand in the report."""
+    if report.counts.renders:
+        return f"It took {counted(report.counts.renders, 'rendered image')}."
+    if report.strokes and all(stroke.fresh for stroke in report.strokes):
+        return "Nothing had changed, so that nothing was made again."
+    return "Nothing had to be rendered."
+
+
+def _next_steps(report: Report, strokes: list[StrokeReport], folder: Path) -> Iterator[tuple[str, str]]:
+    if strokes:
+        first = strokes[0]
+        wav, ears = folder / first.wav, folder / f"{Path(first.wav).stem}-listen.wav"
+        yield "Look at", str(folder / first.picture)
+        yield "Listen", shlex.join([*program(), "export", str(wav), "--format", "listen", "--out", str(ears)])
+        if report.baked_blend:
+            yield "Open", f"{folder / report.baked_blend} in Blender: the strokes are curves that you can edit"
+    yield "Read", f"{folder / REPORT_NAME}: every figure"
+
+
+def counted(count: int, thing: str) -> str:
+    """ "1 stroke", "2 strokes"."""
+    return f"{count} {thing}" if count == 1 else f"{count} {thing}s"

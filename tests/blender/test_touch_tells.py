@@ -1,0 +1,84 @@
+"""What a run says at the end: where to look and listen, in words; the counts are for the report."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, touch
+
+from hnf_blender.cli import main
+from hnf_blender.touch.report import Report
+from hnf_blender.touch.tell import closing, counted
+from hnf_core.cli.program import program
+from hnf_core.export.wav import read_wav
+
+
+def test_the_end_says_where_to_look_listen_and_go_on(tmp_path, capsys, monkeypatch) -> None:
+    monkeypatch.setattr("sys.argv", [".venv/bin/hnf", "touch"])
+    ridge_plate()
+    line_stroke("Along")
+    line_stroke("Back", along=(-1.0, 0.0, 0.0))
+    scene, out = save_scene(tmp_path / "scene.blend"), tmp_path / "out"
+    capsys.readouterr()
+    assert touch(scene, out)[0] == 0
+    said = capsys.readouterr().out
+    assert f"Done: 2 strokes in {out}. It took " in said
+    for file in ("along.png", "scene_touched.blend", "report.json"):
+        assert str(out / file) in said
+        assert (out / file).is_file()
+    for internal in ("rays", "network", "reliefs"):
+        assert internal not in said
+    # The line that it offers does what it says.
+    listen = next(line for line in said.splitlines() if line.startswith("  Listen"))
+    _, hnf, *words = shlex.split(listen)
+    assert hnf == ".venv/bin/hnf"
+    assert main(words) == 0
+    heard = read_wav(out / "along-listen.wav")
+    assert heard.sample_rate == 48_000
+    assert np.abs(heard.samples).max() == pytest.approx(np.abs(read_wav(out / "along.wav").samples).max(), rel=0.05)
+    capsys.readouterr()
+    assert touch(scene, out)[0] == 0
+    again = capsys.readouterr().out
+    assert "Nothing had changed" in again
+    assert not re.search(r"\b0 ", again)
+
+
+def test_a_run_that_made_nothing_says_only_why(tmp_path, capsys) -> None:
+    ridge_plate()
+    scene = save_scene(tmp_path / "scene.blend")
+    capsys.readouterr()
+    assert touch(scene, tmp_path / "out", "--stroke", "rub-slow", "--on", f"{PLATE}:Glaze")[0] == 1
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert "it has no material slot 'Glaze'. Its slots: 0 Plate plastic." in told.err
+    assert told.err.count("\n") == 1
+
+
+def test_a_probe_is_one_place(tmp_path, capsys) -> None:
+    ridge_plate()
+    scene = save_scene(tmp_path / "scene.blend")
+    assert touch(scene, tmp_path / "out", "--probe", f"{PLATE}:0.01,0.02")[0] == 0
+    said = capsys.readouterr().out
+    assert f"Done: 1 place in {tmp_path / 'out'}. It took 1 rendered image." in said
+    assert "Listen" not in said
+
+
+def test_one_is_singular() -> None:
+    assert (counted(1, "stroke"), counted(2, "stroke"), counted(0, "stroke")) == ("1 stroke", "2 strokes", "0 strokes")
+    assert closing(Report("x.blend", 1.0, "--scale"), Path("out")) == []
+
+
+@pytest.mark.parametrize(
+    ("first", "words"),
+    [
+        (".venv/bin/hnf", [".venv/bin/hnf"]),
+        ("/usr/bin/blender", ["/usr/bin/blender", "-b", "--command", "hnf"]),
+        ("-c", ["hnf"]),
+    ],
+)
+def test_lines_to_paste_begin_as_the_person_began(first, words) -> None:
+    assert program([first, "touch"]) == words
