@@ -9,6 +9,8 @@ import importlib
 from types import ModuleType
 from typing import Any
 
+from .rooms import rooms_off, rooms_on
+
 ROOMS = ("translations", "props", "prefs", "handlers", "jobs", "actuator", "preview", "ops", "tool", "ui")
 """Sub-modules with register() and unregister(), in order; each may use those before it. What handlers note, later ones
 hear of in the same change."""
@@ -24,10 +26,7 @@ def register() -> None:
     from . import rescue
 
     try:
-        for name in ROOMS:
-            room = importlib.import_module(f".{name}", __package__)
-            room.register()
-            _registered.append(room)
+        rooms_on((importlib.import_module(f".{name}", __package__) for name in ROOMS), _registered)
         _commands.append(bpy.utils.register_cli_command("hnf", _command))
     except Exception as error:
         unregister()
@@ -51,6 +50,5 @@ def unregister() -> None:
 
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
-    while _registered:
-        _registered.pop().unregister()
+    rooms_off(_registered)
     rescue.unregister()

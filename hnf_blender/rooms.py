@@ -1,10 +1,28 @@
-"""Switching the classes of a room on and off: all of them, or none."""
+"""Switching rooms, and the classes of a room, on and off: all of them, or none."""
 
 from __future__ import annotations
 
 import importlib
 from collections.abc import Iterable, Sequence
 from typing import Any
+
+
+def rooms_on(rooms: Iterable[Any], done: list[Any]) -> None:
+    """register() of each, in order; done grows with those that are on. Where one fails, those before it are taken back
+    and the error is raised."""
+    try:
+        for room in rooms:
+            room.register()
+            done.append(room)
+    except Exception:
+        rooms_off(done)
+        raise
+
+
+def rooms_off(done: list[Any]) -> None:
+    """unregister() of each, the last one first; done is empty then."""
+    while done:
+        done.pop().unregister()
 
 
 def classes_of(package: str, modules: Iterable[str]) -> tuple[Any, ...]:

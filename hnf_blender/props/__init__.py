@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from types import ModuleType
+
+from ..rooms import rooms_off, rooms_on
 from . import material, scene, stroke
 
 GROUPS = (stroke, material, scene)
 
+_registered: list[ModuleType] = []
+
 
 def register() -> None:
-    for group in GROUPS:
-        group.register()
+    rooms_on(GROUPS, _registered)
 
 
 def unregister() -> None:
-    for group in reversed(GROUPS):
-        group.unregister()
+    rooms_off(_registered)

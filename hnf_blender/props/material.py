@@ -4,7 +4,7 @@
 
 import bpy
 
-from .overriding import OVERRIDABLE
+from .overriding import OVERRIDABLE, give, take_back
 
 OWN_DEFINITION = "hnf_material"
 """ID property: the bytes of a `.hnf` file that the material carries. hnf_touch.library goes before it."""
@@ -25,10 +25,8 @@ class HnfMaterial(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no 
 
 
 def register() -> None:
-    bpy.utils.register_class(HnfMaterial)
-    bpy.types.Material.hnf_touch = bpy.props.PointerProperty(type=HnfMaterial, override=OVERRIDABLE)
+    give(bpy.types.Material, "hnf_touch", HnfMaterial)
 
 
 def unregister() -> None:
-    del bpy.types.Material.hnf_touch
-    bpy.utils.unregister_class(HnfMaterial)
+    take_back(bpy.types.Material, "hnf_touch", HnfMaterial)

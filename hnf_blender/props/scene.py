@@ -11,7 +11,7 @@ from hnf_core.actuators.profile import GENERIC, OWN, PROFILES, ActuatorProfile, 
 from ..compat import beside_the_file
 from .export_formats import FORMAT_ITEMS
 from .listed import A_REDRAW_S, STROKES, object_at
-from .overriding import OVERRIDABLE
+from .overriding import OVERRIDABLE, give, take_back
 from .profile_file import FILE, profile_in_file
 from .stroke import FORCE_MAX_N
 
@@ -125,13 +125,11 @@ class HnfScene(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no typ
 
 
 def register() -> None:
-    bpy.utils.register_class(HnfScene)
-    bpy.types.Scene.hnf = bpy.props.PointerProperty(type=HnfScene, override=OVERRIDABLE)
+    give(bpy.types.Scene, "hnf", HnfScene)
 
 
 def unregister() -> None:
-    del bpy.types.Scene.hnf
-    bpy.utils.unregister_class(HnfScene)
+    take_back(bpy.types.Scene, "hnf", HnfScene)
 
 
 def actuator_of(scene: Any) -> ActuatorProfile:

@@ -7,7 +7,7 @@ import bpy
 
 from hnf_core.material.probe import PROBES
 
-from .overriding import OVERRIDABLE
+from .overriding import OVERRIDABLE, give, take_back
 
 FORCE_MAX_N = 20.0
 
@@ -109,10 +109,8 @@ class HnfStroke(bpy.types.PropertyGroup):  # type: ignore[misc]  # bpy has no ty
 
 
 def register() -> None:
-    bpy.utils.register_class(HnfStroke)
-    bpy.types.Object.hnf_stroke = bpy.props.PointerProperty(type=HnfStroke, override=OVERRIDABLE)
+    give(bpy.types.Object, "hnf_stroke", HnfStroke)
 
 
 def unregister() -> None:
-    del bpy.types.Object.hnf_stroke
-    bpy.utils.unregister_class(HnfStroke)
+    take_back(bpy.types.Object, "hnf_stroke", HnfStroke)

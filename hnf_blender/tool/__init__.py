@@ -6,6 +6,8 @@ from __future__ import annotations
 import importlib
 from types import ModuleType
 
+from ..rooms import rooms_off, rooms_on
+
 PARTS = (".stroke_tool", ".menus", "..ui.overlay")
 """Modules with register() and unregister(), in order."""
 
@@ -17,12 +19,8 @@ def register() -> None:
 
     if bpy.app.background:
         return
-    for name in PARTS:
-        part = importlib.import_module(name, __package__)
-        part.register()
-        _registered.append(part)
+    rooms_on((importlib.import_module(name, __package__) for name in PARTS), _registered)
 
 
 def unregister() -> None:
-    while _registered:
-        _registered.pop().unregister()
+    rooms_off(_registered)

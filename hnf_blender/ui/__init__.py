@@ -27,7 +27,11 @@ def register() -> None:
     classes = classes_of(__package__, MODULES)
     switch_on(classes)
     _on.extend(classes)
-    follow_selection.register()
+    try:
+        follow_selection.register()
+    except Exception:
+        unregister()
+        raise
 
 
 def unregister() -> None:
