@@ -233,7 +233,7 @@ def _feel(session: Session, job: Job, baked: BakedStroke, views: Views, report: 
     for warning in felt.warnings:
         report.warn(f"stroke '{job.name}': {warning}")
     with timed(report, "picture_s"):
-        view, notes = views.of_stroke(baked.contacts, baked.touched.surface, baked.touched.obj)
+        view, notes = views.of_stroke(baked.contacts, baked.touched.surface, baked.touched.obj, job.name)
         for note in notes:
             report.warn(note)
         return deliver(session.request.folder, job, baked, felt, view, {stroke.wav for stroke in report.strokes})

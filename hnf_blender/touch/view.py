@@ -19,6 +19,7 @@ from ..bridge.meshes import Surface
 from ..bridge.picture import Overviews
 from ..bridge.scene_camera import camera_record, overview_camera
 from ..compat import has_denoiser
+from .cut_open import BEHIND_M, cut_open, depth_at
 from .report import Counts
 
 Float = NDArray[np.float64]
@@ -33,8 +34,10 @@ LEAST_SHARE = 0.08
 """A stroke shorter than this share of the picture's width is better seen by a camera of our own."""
 NEIGHBOURS, NEIGHBOUR_FACES = 40, 400_000
 """What else may stand in the picture: its cost must not follow the size of the scene."""
-BEHIND_M = 3e-3
-"""A contact point this far behind what the picture shows there is hidden."""
+LEAST_SEEN = 0.25
+"""Of a stroke's points; with fewer in sight another view of it is looked for."""
+CUTS = 2
+"""One obstacle may stand behind another."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,15 @@ class Overview:
 
     view: RgbdView
     notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Shot:
+    """How a stroke is to be seen. path: (n, 3) world metres. radius_m: around it, that the picture is meant to show."""
+
+    path: Float
+    camera: Camera
+    radius_m: float
 
 
 @dataclass(frozen=True)
@@ -88,28 +100,61 @@ class Views:
     def __exit__(self, *error: object) -> None:
         self._stack.close()
 
-    def of_stroke(self, contacts: Contacts, surface: Surface, touched: Any) -> tuple[StrokeView, tuple[str, ...]]:
-        """The picture of a stroke with its path in it, and notes. touched: the object under the stroke."""
-        path = contacts.point @ surface.rigid[:3, :3].T + surface.rigid[:3, 3]
-        camera = self._scene_camera()
-        if camera is not None and shows(camera, path):
-            if self._from_scene_camera is None:
-                self._from_scene_camera = self._render(camera, path, touched)
-            overview = self._from_scene_camera
-        else:
-            outward = contacts.normal.mean(axis=0) @ surface.rigid[:3, :3].T
-            radius = 1.6 * float(np.linalg.norm(path - path.mean(axis=0), axis=1).max()) + 0.03
-            overview = self._render(overview_camera(path, outward, radius, WIDTH, HEIGHT), path, touched)
-        uv, depth = overview.view.camera.project(path)
-        return StrokeView(overview.view.rgb, uv, contacts.force, _visible(overview.view, uv, depth)), overview.notes
+    def of_stroke(
+        self, contacts: Contacts, surface: Surface, touched: Any, name: str
+    ) -> tuple[StrokeView, tuple[str, ...]]:
+        """The picture of stroke `name` with its path in it, and notes. touched: the object under the stroke.
 
-    def _render(self, camera: Camera, path: Float, touched: Any) -> Overview:
+        The scene's camera where it shows enough of the stroke; else one before the surface, and where something stands
+        between, that is cut away.
+        """
+        *shared, own = self._shots(contacts, surface)
+        overview, told = None if not shared else self._shared(shared[0], touched), ""
+        if overview is None or sight(overview.view, own.path).mean() < LEAST_SEEN:
+            overview, told = self._past_obstacles(own, touched)
+        visible = sight(overview.view, own.path)
+        if not visible.any():
+            told = "all of it is hidden in its picture."
+        uv, _ = overview.view.camera.project(own.path)
+        notes = (*overview.notes, *([f"stroke '{name}': {told}"] if told else []))
+        return StrokeView(overview.view.rgb, uv, contacts.force, visible), notes
+
+    def _shots(self, contacts: Contacts, surface: Surface) -> tuple[Shot, ...]:
+        """By the scene's camera where it has the whole path in its frame, and by one of our own."""
+        path = contacts.point @ surface.rigid[:3, :3].T + surface.rigid[:3, 3]
+        outward = contacts.normal.mean(axis=0) @ surface.rigid[:3, :3].T
+        radius = 1.6 * float(np.linalg.norm(path - path.mean(axis=0), axis=1).max()) + 0.03
+        own = Shot(path, overview_camera(path, outward, radius, WIDTH, HEIGHT), radius)
+        camera = self._scene_camera()
+        return (own,) if camera is None or not shows(camera, path) else (Shot(path, camera, radius), own)
+
+    def _shared(self, shot: Shot, touched: Any) -> Overview:
+        if self._from_scene_camera is None:
+            self._from_scene_camera = self._render(shot, touched)
+        return self._from_scene_camera
+
+    def _past_obstacles(self, shot: Shot, touched: Any) -> tuple[Overview, str]:
+        """The view that shows most of the path, and what was done for it."""
+        views = [self._render(shot, touched)]
+        while len(views) <= CUTS and sight(views[-1].view, shot.path).mean() < LEAST_SEEN:
+            last = views[-1].view
+            uv, depth = last.camera.project(shot.path)
+            camera = cut_open(last.camera, depth, depth_at(last.depth, uv), shot.radius_m)
+            if camera is None:
+                break
+            views.append(self._render(replace(shot, camera=camera), touched))
+        best = max(views, key=lambda each: sight(each.view, shot.path).sum())
+        return best, "" if best is views[0] else "what stands before it is cut away in its picture."
+
+    def _render(self, shot: Shot, touched: Any) -> Overview:
         if self._overviews is None:
-            samples = SAMPLES if has_denoiser() else SAMPLES_UNDENOISED
-            overviews = Overviews(self._scene, metres_per_unit=self._metres, samples=samples)
+            overviews = Overviews(self._scene, metres_per_unit=self._metres, samples=_samples())
             self._overviews = self._stack.enter_context(overviews)
         self._counts.renders += 1
-        return Overview(*self._overviews.view(camera, in_view(self._crowd, camera, path, touched)))
+        return Overview(*self._overviews.view(shot.camera, self._objects(shot, touched)))
+
+    def _objects(self, shot: Shot, touched: Any) -> list[Any]:
+        return in_view(self._crowd, shot.camera, shot.path, touched)
 
     def _scene_camera(self) -> Camera | None:
         """The scene's camera at the picture's size; None where there is none, or it has no flat, square pixels."""
@@ -119,6 +164,10 @@ class Views:
         if abs(camera.intrinsics[0, 0] / camera.intrinsics[1, 1] - 1.0) > 1e-6:
             return None
         return resized(camera, WIDTH)
+
+
+def _samples() -> int:
+    return SAMPLES if has_denoiser() else SAMPLES_UNDENOISED
 
 
 def resized(camera: Camera, width: int) -> Camera:
@@ -171,9 +220,8 @@ def meets_view(camera: Camera, centre: Float, radius: Float) -> NDArray[np.bool_
     return np.asarray((depth >= -radius) & (around | inside))
 
 
-def _visible(view: RgbdView, uv: Float, depth: Float) -> NDArray[np.bool_]:
-    """(n,) is the path's point what the picture shows there?"""
-    column = np.clip(uv[:, 0].astype(int), 0, view.camera.width - 1)
-    row = np.clip(uv[:, 1].astype(int), 0, view.camera.height - 1)
+def sight(view: RgbdView, path: Float) -> NDArray[np.bool_]:
+    """(n,) is a point of the path (n, 3) what the picture shows there?"""
+    uv, depth = view.camera.project(path)
     inside = (uv >= 0).all(axis=1) & (uv < [view.camera.width, view.camera.height]).all(axis=1)
-    return np.asarray(inside & (depth <= view.depth[row, column] + BEHIND_M))
+    return np.asarray(inside & (depth <= depth_at(view.depth, uv) + BEHIND_M))

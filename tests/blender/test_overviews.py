@@ -151,10 +151,75 @@ def test_the_pictures_of_a_run_are_taken_on_one_scene_and_none_is_made_without_a
         for x in (0.8, 1.2):
             point = np.stack([np.linspace(x, x + 0.1, 5), np.zeros(5), np.zeros(5)], axis=1)
             contacts = SimpleNamespace(point=point, normal=np.tile([0.0, 0.0, 1.0], (5, 1)), force=np.ones(5))
-            shown, _ = views.of_stroke(contacts, surface, floor)
+            shown, _ = views.of_stroke(contacts, surface, floor, "Across")
             assert np.ptp(shown.path[:, 0]) > 15
     assert (len(scenes), counts.renders) == (1, 2)
     assert SCENE_NAME not in bpy.data.scenes
+
+
+@pytest.fixture
+def small(monkeypatch):
+    monkeypatch.setattr(touch_view, "WIDTH", 96)
+    monkeypatch.setattr(touch_view, "HEIGHT", 54)
+    monkeypatch.setattr(picture, "prepare_cycles", lambda scene, samples: prepare_cycles(scene, 1))
+
+
+def seen_from_below(gap):
+    """A stroke over the underside of a board that floats `gap` above a floor: the picture of it, and its notes."""
+    board = coloured(add_plane("Board", size=0.4), (0.8, 0.1, 0.1))
+    board.rotation_euler = (np.pi, 0.0, 0.0)
+    if gap is not None:
+        coloured(add_plane("Ground", size=4.0, z=-gap), (0.5, 0.5, 0.5))
+    bpy.context.view_layer.update()
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    surface = surface_mesh(board, depsgraph, 1.0)
+    way = np.linspace(-0.03, 0.03, 9)
+    point = np.stack([way, way, np.zeros(9)], axis=1) @ surface.rigid[:3, :3]
+    down = np.array([0.0, 0.0, -1.0]) @ surface.rigid[:3, :3]
+    contacts = SimpleNamespace(point=point, normal=np.tile(down, (9, 1)), force=np.ones(9))
+    with Views(bpy.context.scene, depsgraph, 1.0, Counts()) as views:
+        return views.of_stroke(contacts, surface, board, "Under the board")
+
+
+@pytest.mark.parametrize("gap", [None, 0.25, 0.05])
+def test_what_stands_before_a_stroke_is_cut_away_and_said(small, gap):
+    shown, notes = seen_from_below(gap)
+    assert shown.visible.all()
+    row, column = shown.path.astype(int)[4][::-1]
+    red, _, blue = shown.rgb[row, column]
+    assert red > 2.0 * blue
+    told = [note for note in notes if "Under the board" in note]
+    assert told == (
+        [] if gap is None else ["stroke 'Under the board': what stands before it is cut away in its picture."]
+    )
+
+
+def test_a_stroke_that_no_view_shows_is_told(small, monkeypatch):
+    monkeypatch.setattr(touch_view, "cut_open", lambda *_: None)
+    shown, notes = seen_from_below(0.05)
+    assert not shown.visible.any()
+    assert "stroke 'Under the board': all of it is hidden in its picture." in notes
+
+
+def test_a_scene_camera_with_something_before_the_stroke_is_not_taken(small):
+    board = coloured(add_plane("Board", size=0.4), (0.8, 0.1, 0.1))
+    coloured(add_plane("Lid", size=0.4, z=0.5), (0, 0, 1))
+    data = bpy.data.cameras.new("Above")
+    data.angle = 0.2
+    camera = bpy.data.objects.new("Above", data)
+    camera.location = (0.0, 0.0, 1.0)
+    bpy.context.scene.collection.objects.link(camera)
+    bpy.context.scene.camera = camera
+    bpy.context.view_layer.update()
+    depsgraph, counts = bpy.context.evaluated_depsgraph_get(), Counts()
+    surface = surface_mesh(board, depsgraph, 1.0)
+    point = np.stack([np.linspace(-0.03, 0.03, 9), np.zeros(9), np.zeros(9)], axis=1)
+    contacts = SimpleNamespace(point=point, normal=np.tile([0.0, 0.0, 1.0], (9, 1)), force=np.ones(9))
+    with Views(bpy.context.scene, depsgraph, 1.0, counts) as views:
+        for name in ("One", "Two"):
+            shown, _ = views.of_stroke(contacts, surface, board, name)
+            assert shown.visible.all()
+    assert counts.renders == 3  # the scene's own view once
 
 
 def lamp(place, energy=2.0):
