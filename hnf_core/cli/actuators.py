@@ -9,11 +9,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from ..actuators.acceleration import acceleration_of
+from ..actuators.acceleration import Acceleration, acceleration_of
 from ..actuators.measure.bands import BandError, band_errors, largest_db, rms_db
 from ..actuators.measure.estimate import estimate
 from ..actuators.measure.excitation import noise, sweep
-from ..actuators.measure.felt import felt, felt_bands
+from ..actuators.measure.felt import UNKNOWN_RANGE_HZ, felt, felt_bands
 from ..actuators.measure.profiled import Measured, profiled
 from ..actuators.profile import GENERIC, PROFILES, ActuatorProfile
 from ..actuators.profile_file import profile_at, write_profile
@@ -27,10 +27,11 @@ from ..actuators.targets import (
     parse_target,
     sink_of,
 )
-from ..errors import UsageError
+from ..errors import FileError, UsageError
 from ..export.wav import read_wav, write_wav
 from ..field.carriers import MODEL_RATE_HZ
 from ..signal import Signal
+from .counted import counted
 from .seed import seed_of
 from .verbs import HELP
 
@@ -291,6 +292,8 @@ def run_report(arguments: argparse.Namespace) -> int:
     signal = Signal(found.samples[:, 0], found.rate_hz, 0)
     plain, made_up = (felt(signal, profile, compensate=compensate) for compensate in (False, True))
     without, compensated = (felt_bands(signal, each.signal, profile) for each in (plain, made_up))
+    if not any(band.before > 0.0 for band in without):
+        raise _nothing_in(found, profile, str(arguments.file))
     rows = [
         {"low_hz": one.low_hz, "high_hz": one.high_hz, "before_db": one.change_db, "after_db": other.change_db}
         for one, other in zip(without, compensated, strict=True)
@@ -311,7 +314,8 @@ def run_report(arguments: argparse.Namespace) -> int:
     for what, each in (("", plain), (" with compensation", made_up)):
         if each.limited_samples and (each is plain or profile.response is not None):
             print(
-                f"hnf: its limits change {each.limited_samples} samples{what}; a softer signal keeps its shape.",
+                f"hnf: its limits change {counted(each.limited_samples, 'sample')}{what}; a softer signal keeps its "
+                "shape.",
                 file=sys.stderr,
             )
     print(f"{arguments.file}: {found.unit}, largest {found.peak_m_s2:.3g} m/s²")
@@ -320,3 +324,16 @@ def run_report(arguments: argparse.Namespace) -> int:
         texts = ["–" if row[key] is None else f"{row[key]:+.2f} dB" for key in ("before_db", "after_db")]
         print(f"{row['low_hz']:>6.0f} – {row['high_hz']:>4.0f} Hz  {texts[0]:>9}  {texts[1]:>18}")
     return 0
+
+
+def _nothing_in(found: Acceleration, profile: ActuatorProfile, where: str) -> FileError:
+    """Why there is no band to report on."""
+    if found.peak_m_s2 == 0.0:
+        return FileError("is silent: there is nothing to report.", where=where, remedy="Give a file with a vibration.")
+    low, high = profile.range_hz or UNKNOWN_RANGE_HZ
+    return FileError(
+        f"has nothing from {low:g} to {high:g} Hz, or is too short ({counted(len(found.samples), 'sample')}): there is "
+        "nothing to report.",
+        where=where,
+        remedy="Give a longer file, or the profile of an actuator that it is made for.",
+    )

@@ -31,6 +31,7 @@ from ..actuators.sources.recorded import Recorded
 from ..actuators.stream import Stream
 from ..actuators.targets import FORMS, FileTarget, Target, parse_target, sink_of
 from ..errors import DeviceError, UsageError
+from .counted import counted
 from .level_meter import LevelMeter
 from .stream_warning import checked_s, warning_of
 from .verbs import HELP
@@ -166,14 +167,14 @@ def _told(arguments: argparse.Namespace, profile: ActuatorProfile, found: Accele
         print(json.dumps(asked | scale | report.to_json(), indent=1))
     else:
         print(
-            f"{report.played_s:.2f} s played: {report.blocks} blocks, 99 % of them computed within "
-            f"{report.compute_p99_ms:.2f} ms, {report.underruns} underruns; peak {report.peak:.0%} of full scale, "
-            f"{report.limited_samples} samples limited"
+            f"{report.played_s:.2f} s played: {counted(report.blocks, 'block')}, 99 % of them computed within "
+            f"{report.compute_p99_ms:.2f} ms, {counted(report.underruns, 'underrun')}; peak {report.peak:.0%} of full "
+            f"scale, {counted(report.limited_samples, 'sample')} limited"
         )
     if report.device_limited_samples:
         print(
-            f"hnf: the device itself cut {report.device_limited_samples} samples short. Play softer, or tell its true "
-            "peak in its firmware.",
+            f"hnf: the device itself cut {counted(report.device_limited_samples, 'sample')} short. "
+            "Play softer, or tell its true peak in its firmware.",
             file=sys.stderr,
         )
     if report.problem:

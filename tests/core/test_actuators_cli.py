@@ -221,6 +221,26 @@ def test_an_export_does_not_take_our_full_scale_for_an_actuator_s(
         assert (record["full_scale_m_s2"], record["full_scale_assumed"]) == (30.0, assumed)
 
 
+@pytest.mark.parametrize(
+    ("samples", "why"),
+    [
+        (np.zeros(0), "has no samples"),
+        (np.zeros(2000), "is silent"),
+        (np.array([0.5, -0.5]), "has nothing from 180 to 280 Hz, or is too short (2 samples)"),
+        (np.sin(2.0 * np.pi * 0.002 * np.arange(10_000)), "has nothing from 180 to 280 Hz"),
+    ],
+)
+def test_a_report_of_nothing_says_why(
+    samples: np.ndarray, why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And not a table of dashes. The last one hums at 20 Hz, far below that actuator."""
+    write_wav(tmp_path / "x.wav", Signal(samples.astype(np.float32), 10_000.0, 0))
+    assert hnf("actuators", "report", tmp_path / "x.wav", "--profile", "eai-c-mf") == 1
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert why in told.err
+
+
 def _float_wav(path: Path, samples: np.ndarray) -> None:
     """10 kHz, and no word of a unit."""
     data = samples.astype("<f4").tobytes()

@@ -27,6 +27,7 @@ from hnf_core.actuators.sink import SinkFormat
 from hnf_core.actuators.sources.recorded import Recorded
 from hnf_core.actuators.virtual.device import Abilities
 from hnf_core.actuators.virtual.port import VirtualPort
+from hnf_core.cli.counted import counted
 from hnf_core.cli.level_meter import LevelMeter, meter_line
 from hnf_core.cli.main import main
 from hnf_core.export.wav import write_wav
@@ -293,6 +294,16 @@ def test_the_meter_redraws_one_line_on_a_terminal(noise: Path) -> None:
     assert "\n" not in said.decode()
     assert lines[-1] == ""
     assert re.search(r"of 0\.4 s  [█·]{12} .* m/s²  underruns \d+  limited \d+", lines[-2])
+
+
+def test_what_is_counted_is_counted_in_words() -> None:
+    assert [counted(number, "block") for number in (0, 1, 2)] == ["0 blocks", "1 block", "2 blocks"]
+
+
+def test_one_block_is_no_blocks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_wav(tmp_path / "x.wav", Signal(np.ones(20, np.float32), 10_000.0, 0))
+    assert hnf(tmp_path / "x.wav", "--to", f"file:{tmp_path / 'out.wav'}") == 0
+    assert " s played: 1 block, " in capsys.readouterr().out
 
 
 def test_a_meter_shows_the_level_against_the_limit() -> None:

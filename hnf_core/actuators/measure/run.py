@@ -101,7 +101,7 @@ def measure(sink: Sink, sensor: Accelerometer, excitation: Signal, limits: Limit
         raise DeviceError(report.problem or "the device did not play the excitation to its end.")
     if report.underruns:
         raise DeviceError(
-            f"the device ran out of samples {report.underruns} times.",
+            f"the device ran out of samples{'' if report.underruns == 1 else f' {report.underruns} times'}.",
             remedy="Close what computes beside it, and measure again.",
         )
     if limited := report.limited_samples + report.device_limited_samples:
