@@ -188,13 +188,18 @@ def _surface_object(
         arc = by_arc_length(curve.transformed(world))
         points = arc.point_at(np.linspace(0.0, arc.length, 64))
         return nearest_surface(points, scene, depsgraph, surfaces, metres_per_unit, where=where, ignore=obj)
-    remedy = f"Show it in the viewport and in renders, or choose another surface for {where}."
     if place_in(scene.objects, chosen) < 0:
         raise SceneError(
-            f"it is not in this scene, and {where} touches it.", where=f"object '{chosen.name}'", remedy=remedy
+            f"it is not in this scene, and {where} touches it.",
+            where=f"object '{chosen.name}'",
+            remedy="Choose another surface, or link the object to this scene.",
         )
     if not is_visible(chosen, depsgraph.view_layer):
-        raise SceneError(f"it is hidden, and {where} touches it.", where=f"object '{chosen.name}'", remedy=remedy)
+        raise SceneError(
+            f"it is hidden, and {where} touches it.",
+            where=f"object '{chosen.name}'",
+            remedy=f"Show it in the viewport and in renders, or choose another surface for {where}.",
+        )
     return chosen
 
 

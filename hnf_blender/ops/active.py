@@ -35,6 +35,13 @@ def make_shown(context: Any, stroke: Any) -> str:
     return tr("; the collection '{name}' was hidden and is shown again").format(name=COLLECTION) if hidden else ""
 
 
+def surface_here(context: Any, stroke: Any) -> Any:
+    """The surface that was chosen for a stroke; None where there is none, or the view layer does not hold it: a deleted
+    object may live on in another scene, or in the stroke alone."""
+    chosen = stroke.hnf_stroke.surface
+    return chosen if chosen is not None and place_in(context.view_layer.objects, chosen) >= 0 else None
+
+
 def probe_of(context: Any, chosen: str) -> str:
     """The probe of a new stroke: as chosen in the operator, or as in the preferences."""
     return str(settings(context).default_probe) if chosen == AS_SET else chosen

@@ -13,6 +13,7 @@ from ..bridge.scene_names import object_in
 from ..props.scene import active_stroke
 from ..state.session import STATE
 from ..translations import tr
+from .active import surface_here
 from .greyed import greyed
 from .strokes import UNDOABLE, needs_editable
 
@@ -49,7 +50,7 @@ def felt_object(context: Any) -> Any:
     if stroke is None:
         return None
     if stroke.hnf_stroke.surface is not None:
-        return stroke.hnf_stroke.surface
+        return surface_here(context, stroke)
     status = STATE.strokes.get(stroke.name)
     return None if status is None else object_in(context.scene, status.object_name)
 

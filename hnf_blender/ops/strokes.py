@@ -14,7 +14,7 @@ from ..compat import own_action
 from ..props.listed import NEWS
 from ..props.scene import active_stroke, has_strokes, place_in, stroke_named, strokes_of
 from ..translations import tr
-from .active import AS_SET, make_active, make_shown, one_line, probe_of
+from .active import AS_SET, make_active, make_shown, one_line, probe_of, surface_here
 from .draw import PROBE_ITEMS
 from .greyed import greyed
 
@@ -43,8 +43,9 @@ def touched_object(context: Any) -> Any:
     if selected:
         return selected[0]
     stroke = active_stroke(context)
-    if stroke is not None and stroke.hnf_stroke.surface is not None:
-        return stroke.hnf_stroke.surface
+    surface = None if stroke is None else surface_here(context, stroke)
+    if surface is not None:
+        return surface
     visible = [obj for obj in context.view_layer.objects if obj.type == "MESH" and obj.visible_get()]
     return visible[0] if len(visible) == 1 else None
 

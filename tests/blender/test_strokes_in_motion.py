@@ -131,7 +131,7 @@ def test_surface_is_the_nearest_visible_or_the_chosen():
         read(obj)
     bpy.context.scene.collection.objects.unlink(far)
     obj.hnf_stroke.surface = far
-    with pytest.raises(SceneError, match="object 'Far': it is not in this scene"):
+    with pytest.raises(SceneError, match=r"object 'Far': it is not in this scene.*or link the object to this scene"):
         read(obj)
 
 
