@@ -9,6 +9,7 @@ import bpy
 
 from hnf_core.errors import FileError, HnfError, SceneError
 
+from ..bridge.scene_names import name_in, object_in
 from ..compat import beside_the_file
 from ..props.scene import active_stroke, strokes_of
 from ..state.session import STATE
@@ -50,7 +51,7 @@ class HNF_OT_import_material(bpy.types.Operator):  # type: ignore[misc]  # noqa:
 
         found = object_under(context, event.mouse_region_x, event.mouse_region_y)
         if found is not None and not self.target:
-            self.target, self.slot = found[0].name, found[1]
+            self.target, self.slot = name_in(context.scene, found[0]), found[1]
         return self.execute(context)
 
     def execute(self, context: Any) -> set[str]:
@@ -73,7 +74,7 @@ class HNF_OT_import_material(bpy.types.Operator):  # type: ignore[misc]  # noqa:
         """Raises SceneError where the target is not there."""
         if not self.target:
             return felt_object(context)
-        obj = context.scene.objects.get(self.target)
+        obj = object_in(context.scene, self.target)
         if obj is None or not hasattr(obj.data, "materials"):
             raise SceneError(
                 "there is no such object with materials in the scene.",

@@ -10,6 +10,7 @@ import pytest
 from builders import add_plane
 from touch_scene import line_stroke, ridge_plate
 
+from hnf_blender.bridge.drawn_stroke import cast_on_surface
 from hnf_blender.bridge.own_material import INPUTS, carried, forget, give
 from hnf_blender.bridge.under_cursor import first_hit
 from hnf_blender.props.material import OWN_DEFINITION
@@ -155,9 +156,30 @@ def test_the_ray_under_the_mouse_finds_the_first_face_and_its_slot() -> None:
     high.data.polygons[0].material_index = 1
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    assert first_hit(bpy.context.scene, depsgraph, (0, 0, 1), (0, 0, -1)) == (high, 1)
-    assert first_hit(bpy.context.scene, depsgraph, (0, 0, -1), (0, 0, 1)) == (low, 0)
-    assert first_hit(bpy.context.scene, depsgraph, (9, 0, 1), (0, 0, -1)) is None
+    assert first_hit(bpy.context.scene, depsgraph, None, (0, 0, 1), (0, 0, -1)) == (high, 1)
+    assert first_hit(bpy.context.scene, depsgraph, None, (0, 0, -1), (0, 0, 1)) == (low, 0)
+    assert first_hit(bpy.context.scene, depsgraph, None, (9, 0, 1), (0, 0, -1)) is None
+
+
+@pytest.mark.parametrize("seen_through", ["wires", "instances", "hidden"])
+def test_a_drop_meets_what_the_pen_would_meet(seen_through: str) -> None:
+    low, guide = add_plane("Low", 1.0), add_plane("Guide", 1.0, z=0.5)
+    if seen_through == "wires":
+        guide.display_type = "WIRE"
+    elif seen_through == "instances":
+        guide.location.x = 5.0
+        shown = bpy.data.collections.new("Shown")
+        shown.objects.link(guide)
+        empty = bpy.data.objects.new("Empty", None)
+        empty.instance_type, empty.instance_collection, empty.location.x = "COLLECTION", shown, -5.0
+        bpy.context.scene.collection.objects.link(empty)
+    else:
+        guide.hide_set(True)
+    bpy.context.view_layer.update()
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    ray = ((0.1, 0.1, 1.0), (0.0, 0.0, -1.0))
+    met = cast_on_surface(bpy.context.scene, depsgraph, None, *ray)
+    assert first_hit(bpy.context.scene, depsgraph, None, *ray) == (met.obj, 0) == (low, 0)
 
 
 def vibration(path: Path, peak: float, stroke: str = "") -> str:

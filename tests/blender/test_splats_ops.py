@@ -206,7 +206,7 @@ def test_a_pen_draws_on_the_surface_through_its_ellipsoids(imported) -> None:
     assert hit.obj == imported
     assert hit.world == pytest.approx((0.3, 0.2, 0.0), abs=1e-6)
     assert hit.normal == pytest.approx((0.0, 0.0, 1.0), abs=1e-6)
-    assert first_hit(scene, depsgraph, start, down) == (imported, 0)
+    assert first_hit(scene, depsgraph, None, start, down) == (imported, 0)
     assert cast_on_surface(scene, depsgraph, None, Vector((9.0, 0.0, 5.0)), down) is None
     shelf = add_plane("Shelf", 1.0)
     shelf.location = (0.3, 0.2, 1.0)
