@@ -8,44 +8,21 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from stream_builders import LIMITS, LONG_S, Failing, at_rest, comes, noise, slope
 from stream_sink import ClockSink, check_sink
 
 from hnf_core.actuators.chain import Chain, counts_of
-from hnf_core.actuators.limits import COUNTS, Limits
+from hnf_core.actuators.limits import COUNTS
 from hnf_core.actuators.sink import SinkFormat
-from hnf_core.actuators.sinks.file import FileSink
 from hnf_core.actuators.source import Samples
 from hnf_core.actuators.sources.recorded import Recorded
 from hnf_core.actuators.stream import Stream
-from hnf_core.errors import DeviceError, UsageError
-
-LIMITS = Limits(30.0, slew_per_s=2.0 * np.pi * 1000.0, sustained=0.3)
-LONG_S = 20.0
-
-
-def noise(seconds: float, rate: float = 10000.0, channels: int = 1) -> NDArray[np.float32]:
-    return np.random.default_rng(5).normal(0.0, 5.0, (round(seconds * rate), channels)).astype(np.float32)
-
-
-class Failing:
-    """Noise that goes wrong after some blocks: action is called instead of the next."""
-
-    def __init__(self, blocks: int, action: object) -> None:
-        self.rate_hz, self.channels = 10000.0, 1
-        self._left, self._action = blocks, action
-
-    def read(self, frames: int) -> Samples:
-        self._left -= 1
-        if self._left < 0:
-            self._action()  # type: ignore[operator]
-        return np.full((frames, 1), 10.0, np.float32)
+from hnf_core.errors import UsageError
 
 
 class Ahead:
@@ -61,25 +38,6 @@ class Ahead:
 
     def prepare(self) -> None:
         self.asked.append("prepare")
-
-
-def comes(condition: Callable[[], bool]) -> bool:
-    """Whether it becomes true; a minute is for a machine that is very busy."""
-    until = time.monotonic() + 60.0
-    while not condition() and time.monotonic() < until:
-        time.sleep(0.002)
-    return condition()
-
-
-def at_rest() -> bool:
-    """No thread of any stream is left, and the interpreter is as it was."""
-    gone = comes(lambda: not any(thread.name.startswith("hnf-") for thread in threading.enumerate()))
-    return gone and gc.get_freeze_count() == 0
-
-
-def slope(counts: NDArray[np.int16]) -> int:
-    """Largest change from frame to frame, from silence to silence."""
-    return int(np.abs(np.diff(counts.astype(np.int64), axis=0, prepend=0, append=0)).max(initial=0))
 
 
 def test_the_clock_keeps_the_contract_of_a_sink() -> None:
@@ -195,97 +153,6 @@ def test_a_source_may_stop_its_own_stream() -> None:
     stream.start()
     assert stream.wait(60.0)
     assert stream.report.problem == ""
-    assert at_rest()
-
-
-@pytest.mark.parametrize("error", [DeviceError("gone.", remedy="Plug it in."), ValueError("odd"), MemoryError()])
-def test_a_source_that_fails_ends_in_silence_and_one_message(error: Exception) -> None:
-    def fail() -> None:
-        raise error
-
-    sink = ClockSink()
-    stream = Stream(Failing(10, fail), sink, LIMITS)
-    stream.start()
-    assert stream.wait(60.0)
-    report = stream.report
-    assert (str(error) or type(error).__name__) in report.problem
-    assert sink.counts[-1, 0] == 0
-    assert abs(int(sink.counts[-60, 0])) > 5000
-    assert slope(sink.counts) < 1200, "it fades"
-    assert sink.calls[-2:] == ["stop", "close"]
-    assert at_rest()
-
-
-def test_a_source_that_hangs_holds_up_neither_the_device_nor_a_stop() -> None:
-    hang = threading.Event()
-    sink = ClockSink()
-    stream = Stream(Failing(10, lambda: hang.wait(30.0)), sink, LIMITS)
-    stream.start()
-    assert comes(lambda: len(sink.counts) == 500), "all that was ready leaves"
-    stream.stop()
-    assert stream.wait(0.0)
-    assert "does not answer" in stream.report.problem
-    hang.set()
-    assert at_rest()
-
-
-def test_a_device_that_fails_ends_the_stream_and_another_plays_at_once() -> None:
-    samples = noise(0.2)
-    broken = ClockSink(fails_after=700)
-    first = Stream(Recorded(samples, 10000.0), broken, LIMITS)
-    first.start()
-    assert first.wait(60.0)
-    assert first.report.problem == "the clock has stopped. Wind it up."
-    whole = ClockSink()
-    with Stream(Recorded(samples, 10000.0), whole, LIMITS) as second:
-        second.start()
-        assert second.wait(60.0)
-    assert np.array_equal(whole.counts, counts_of(Recorded(samples, 10000.0), whole.format, LIMITS))
-    assert at_rest()
-
-
-def test_a_device_that_does_not_open_is_told_where_it_is_started() -> None:
-    sink = ClockSink()
-    sink.open()
-    with pytest.raises(DeviceError, match="taken"), Stream(Recorded(noise(0.1), 10000.0), sink, LIMITS) as stream:
-        stream.start()
-    assert stream.wait(60.0)
-    assert at_rest()
-
-
-def test_any_fault_of_a_sink_is_told_too() -> None:
-    sink = ClockSink()
-    sink.status = lambda: 1 / 0  # type: ignore[assignment,method-assign]
-    stream = Stream(Recorded(noise(0.2), 10000.0), sink, LIMITS)
-    stream.start()
-    assert stream.wait(60.0)
-    assert "ZeroDivisionError" in stream.report.problem
-    assert at_rest()
-
-
-def test_a_device_that_blocks_holds_up_nobody_who_stops(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hnf_core.actuators.stream._JOIN_S", 0.05)
-    asked, block, sink = threading.Event(), threading.Event(), ClockSink()
-    sink.write = lambda counts: asked.set() or block.wait(30.0)  # type: ignore[assignment,method-assign,func-returns-value]
-    stream = Stream(Recorded(noise(LONG_S), 10000.0), sink, LIMITS)
-    stream.start()
-    assert asked.wait(60.0)
-    stream.stop()
-    assert not stream.wait(0.0)
-    assert "does not answer" in stream.report.problem
-    block.set()
-    assert at_rest()
-    assert stream.wait(0.0)
-    assert sink.calls == ["open", "stop", "close"]
-
-
-def test_a_file_that_cannot_be_written_is_told_after_a_stop_too(tmp_path: Path) -> None:
-    stream = Stream(Recorded(noise(LONG_S), 10000.0, loop=True), FileSink(tmp_path / "taken" / "x.wav", 10000), LIMITS)
-    stream.start()
-    (tmp_path / "taken").rmdir()
-    (tmp_path / "taken").write_text("a file, no folder")
-    stream.stop()
-    assert str(tmp_path / "taken") in stream.report.problem
     assert at_rest()
 
 
