@@ -64,7 +64,7 @@ def along_ray(scene: Any, depsgraph: Any, origin: Any, direction: Any) -> Iterat
     them at most; instances and whatever else it stops at."""
     from mathutils import Vector
 
-    start = Vector(origin)
+    start, direction = Vector(origin), Vector(direction)
     for _ in range(LAYERS):
         found, world, normal, face, met, matrix = scene.ray_cast(depsgraph, start, direction)
         if not found:
