@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from ..props.scene import place_in
+
 _OWNER = object()
 
 
@@ -14,7 +16,7 @@ def follow() -> None:
     scene, active = bpy.context.scene, bpy.context.view_layer.objects.active
     if active is None or not active.hnf_stroke.is_stroke:
         return
-    index = scene.objects.find(active.name)
+    index = place_in(scene.objects, active)
     if index >= 0 and scene.hnf.stroke_index != index:
         scene.hnf.stroke_index = index
 

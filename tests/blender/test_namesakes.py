@@ -16,6 +16,7 @@ from hnf_blender.state.session import STATE, Freshness
 from hnf_blender.state.watch import refresh_status
 from hnf_blender.touch.jobs import gather
 from hnf_blender.touch.targets import resolve_target
+from hnf_blender.ui import follow_selection
 
 
 def link_again(tmp_path, *names):
@@ -98,6 +99,16 @@ def test_a_stroke_gets_its_bake_beside_a_linked_one_of_its_name(tmp_path, lone_b
     assert "Along [set.blend]" in ended.message + " ".join(ended.details)
     refresh_status(bpy.context.scene)
     assert STATE.strokes["Along"].freshness is Freshness.FRESH
+
+
+def test_the_list_picks_the_one_that_is_active(tmp_path) -> None:
+    _, stroke = small_scene()
+    linked, _ = link_again(tmp_path, "Along", PLATE)
+    scene, layer = bpy.context.scene, bpy.context.view_layer
+    for each in (linked, stroke, linked):
+        layer.objects.active = each
+        follow_selection.follow()
+        assert scene.objects[scene.hnf.stroke_index] == each
 
 
 def test_the_command_line_takes_either(tmp_path) -> None:
