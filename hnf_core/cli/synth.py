@@ -21,6 +21,7 @@ from ..export.wav import write_wav
 from ..field.carriers import MODEL_RATE_HZ
 from ..field.field import Field
 from ..field.learned import field_of
+from ..field.resampling import FASTEST_HZ, SLOWEST_HZ
 from ..field.stroke import StrokeInput, uniform_stroke
 from ..field.synthesis import synthesise
 from ..field.weights import field_for, load_field, own_material
@@ -30,7 +31,7 @@ from ..material.material import LibraryMaterial
 from ..material.probe import PROBES
 from ..material.token import split_encoders
 from .seed import seed_of
-from .synth_long import LONG_S, Written, write_long
+from .synth_long import Written, is_long, write_long
 from .verbs import HELP
 
 LOOSEST_DB, TIGHTEST_DB = -10.0, -45.0
@@ -74,8 +75,13 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
-    if not 1.0 <= arguments.rate <= 1e7 or arguments.rate != round(arguments.rate):
-        raise UsageError(f"--rate {arguments.rate:g}: a WAV needs a whole number of Hz.", remedy="Give e.g. 10000.")
+    if not SLOWEST_HZ <= arguments.rate <= FASTEST_HZ:
+        raise UsageError(
+            f"--rate {arguments.rate:.10g}: not within {SLOWEST_HZ:.0f} to {FASTEST_HZ:.0f} Hz.",
+            remedy="Give e.g. 10000.",
+        )
+    if arguments.rate != round(arguments.rate):
+        raise UsageError(f"--rate {arguments.rate:.10g}: a WAV needs a whole number of Hz.", remedy="Give e.g. 10000.")
     tolerance = _ratio(arguments.tolerance)
     field, material = _known(arguments.material, arguments.weights)
     if arguments.action is not None:
@@ -85,7 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
         stroke_name = arguments.stroke.name
     stroke = uniform_stroke(action, material.token, material.mechanics)
     facts = {"stroke": stroke_name, "material": material.name}
-    write = _write_whole if action.duration_s <= LONG_S else write_long
+    write = write_long if is_long(action.duration_s, arguments.rate) else _write_whole
     written = write(
         arguments.out, field, stroke, seed=arguments.seed, rate=arguments.rate, facts=facts, tolerance=tolerance
     )

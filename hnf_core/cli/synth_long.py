@@ -1,4 +1,4 @@
-"""`hnf synth` of a stroke of minutes or hours: written as it is made, in the memory of one minute."""
+"""`hnf synth` of a stroke of minutes or hours, or at megahertz: written as it is made, in the memory of one minute."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ from ..signal import Signal
 from .progress import Progress, ProgressBar
 
 LONG_S = 120.0
-"""From here on; what is shorter is one piece, and takes a few hundred MB at most."""
+MOST_WHOLE = 2**24
+"""Seconds and output samples up to which a signal is one piece, which takes a few hundred MB at most."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,11 @@ class Written:
     peak: float
     confidence: float
     warnings: tuple[str, ...]
+
+
+def is_long(duration_s: float, rate: float) -> bool:
+    """Whether a signal of this duration at `rate` Hz is to be written as it is made."""
+    return duration_s > LONG_S or duration_s * rate > MOST_WHOLE
 
 
 class _Meter:

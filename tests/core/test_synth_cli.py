@@ -9,6 +9,7 @@ import pytest
 
 from hnf_core.action.table import action_from_table, read_action_csv
 from hnf_core.cli.main import main
+from hnf_core.cli.synth_long import is_long
 from hnf_core.errors import FileError, StrokeError
 from hnf_core.export.wav import read_wav
 from hnf_core.material.library import load_library
@@ -90,6 +91,33 @@ def test_wrong_words_are_told_apart_from_failures(tmp_path, capsys, material, wo
     assert hnf("synth", *words, "--out", tmp_path / "x.wav") == code
     assert capsys.readouterr().err.strip()
     assert not (tmp_path / "x.wav").exists()
+
+
+@pytest.mark.parametrize(
+    ("rate", "words"),
+    [("10000001", "10000001: not within 1 to 10000000"), ("0.5", "not within 1"), ("9999.5", "whole number")],
+)
+def test_a_rate_is_refused_for_what_is_wrong_with_it(tmp_path, capsys, material, rate, words):
+    options = ("--stroke", "rub-slow", "--rate", rate, "--out", tmp_path / "x.wav")
+    assert hnf("synth", "--material", material, *options) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_what_no_wav_can_hold_is_refused_before_anything_is_made(tmp_path, capsys, material, monkeypatch):
+    """Two minutes at 10 MHz are 1.2e9 samples, though the stroke is not a long one: it took 6.5 GB."""
+    table = tmp_path / "a.csv"
+    table.write_text(HEADER + "0,0,0.1,1\n119,0,0.1,1\n")
+    monkeypatch.setattr("hnf_core.field.long_stroke.prepare", lambda *_, **__: pytest.fail("it is made"))
+    monkeypatch.setattr("hnf_core.cli.synth.synthesise", lambda *_, **__: pytest.fail("it is made"))
+    words = ("--material", material, "--action", table, "--rate", "1e7", "--out", tmp_path / "x.wav")
+    assert hnf("synth", *words) == 1
+    assert "more than a WAV can hold" in capsys.readouterr().err
+
+
+def test_a_signal_is_cut_into_portions_by_its_samples_too():
+    assert [is_long(*each) for each in ((119.0, 1e4), (121.0, 1e4), (119.0, 48e3), (119.0, 1e6), (1.0, 1e7))] == [
+        False, True, False, True, False,
+    ]  # fmt: skip
 
 
 def test_weights_of_no_single_material_say_so(tmp_path, capsys):
