@@ -70,13 +70,18 @@ def refresh(obj: Any, context: Any, *, wait: bool, first: bool = True) -> Heard 
 
 def take(name: str, heard: Heard) -> None:
     """A signal is there."""
-    from .images import show
-
     PREVIEW.heard[name] = heard
     PREVIEW.asked[name] = heard.stamp, heard.look
+    _show(name)
+
+
+def _show(name: str) -> None:
+    """The picture of what is heard of a stroke, as its icon."""
+    from .images import show
+
     shown = PREVIEW.shown(name)
     if shown is not None:
-        PREVIEW.icons[name] = show(name, shown.picture)
+        PREVIEW.icons[name] = show(f"stroke {name}", shown.picture)  # the probe's picture has a name there too
 
 
 def collect() -> set[str]:
@@ -131,14 +136,10 @@ def stop() -> None:
 
 def switch_kept(name: str) -> bool:
     """Change between A and the newest; False where there is no A."""
-    from .images import show
-
     if name not in PREVIEW.kept:
         return False
     PREVIEW.on_kept ^= {name}
-    shown = PREVIEW.shown(name)
-    if shown is not None:
-        PREVIEW.icons[name] = show(name, shown.picture)
+    _show(name)
     return True
 
 

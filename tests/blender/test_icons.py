@@ -1,0 +1,42 @@
+"""Pictures as icons: whatever a stroke is called, its picture is no other's."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hnf_blender.jobs.probe import PICTURE, rgba
+from hnf_blender.preview import current, images
+from hnf_blender.preview.facts import PREVIEW
+
+
+@pytest.fixture(autouse=True)
+def nothing_shown():
+    PREVIEW.clear()
+    yield
+    PREVIEW.clear()
+    images.release()
+
+
+def heard(shade: float) -> SimpleNamespace:
+    return SimpleNamespace(stamp="", look=None, picture=np.full((4, 4, 4), shade, np.float32))
+
+
+def test_a_stroke_called_as_the_probes_picture_has_one_of_its_own() -> None:
+    images.show(PICTURE, rgba(np.full((4, 4, 3), 51, np.uint8)))
+    probe = images._images[PICTURE]
+    current.take(PICTURE, heard(1.0))
+    assert images._images[PICTURE] is probe
+    assert probe.image_pixels_float[0] == pytest.approx(0.2)
+    assert len(images._images) == 2
+
+
+def test_a_and_b_of_a_stroke_change_one_picture() -> None:
+    current.take("Scrape", heard(0.25))
+    PREVIEW.kept["Scrape"] = heard(0.75)
+    (picture,) = images._images.values()
+    for shade in (0.75, 0.25):  # kept as bytes
+        assert current.switch_kept("Scrape")
+        assert picture.image_pixels_float[0] == pytest.approx(shade, abs=0.01)
