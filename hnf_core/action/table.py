@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from array import array
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +19,18 @@ Float = NDArray[np.float64]
 COLUMNS = ("time_s", "direction_rad", "speed_m_s", "force_n")
 LONGEST_S = 86_400.0
 """Whoever asks for more has another unit in mind: ten seconds in microseconds would be four months."""
+MOST_TURNS, WIDEST_STEP_S = 2.0, 1.5
+"""Beyond them a table is read as it is, and doubted: a hand turns and changes its mind in less."""
 _REMEDY = f"Give the header {','.join(COLUMNS)} and one row of four numbers per time."
 
 
-def read_action_csv(path: Path, probe: str = "pen", rate: float = ACTION_RATE_HZ) -> Action:
+def read_action_csv(
+    path: Path, probe: str = "pen", rate: float = ACTION_RATE_HZ, *, warn: Callable[[str], None] = lambda _: None
+) -> Action:
     """Read a CSV with the columns time_s, direction_rad, speed_m_s, force_n (any order, any rising time grid).
 
-    Raises FileError where it cannot be read or is no such table, StrokeError where its values make no action.
+    warn: is told in words what looks like a number of another unit; it is read as it is. Raises FileError where it
+    cannot be read or is no such table, StrokeError where its values make no action.
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
@@ -34,9 +39,22 @@ def read_action_csv(path: Path, probe: str = "pen", rate: float = ACTION_RATE_HZ
         raise FileError(f"cannot read it ({error.strerror}).", where=str(path), remedy="Check the path.") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise FileError(f"not a CSV table ({error}).", where=str(path), remedy=_REMEDY) from error
-    return action_from_table(
-        *(table[:, header.index(name)] for name in COLUMNS), probe=probe, rate=rate, where=str(path), lines=lines
-    )
+    columns = [table[:, header.index(name)] for name in COLUMNS]
+    action = action_from_table(*columns, probe=probe, rate=rate, where=str(path), lines=lines)
+    for doubt in unit_doubts(*columns[:2]):
+        warn(f"{path.name}: {doubt}")
+    return action
+
+
+def unit_doubts(time: Float, direction: Float) -> tuple[str, ...]:
+    """In words, what of a table's times and directions (n,) is hardly in seconds and radians."""
+    doubts = []
+    widest, step = float(np.max(np.abs(direction))), float(np.median(np.diff(time)))
+    if widest > MOST_TURNS * 2.0 * np.pi:
+        doubts.append(f"direction_rad reaches {widest:.4g}, more than {MOST_TURNS:g} turns: is it in degrees?")
+    if len(time) > 2 and step > WIDEST_STEP_S:
+        doubts.append(f"time_s steps by {step:.4g} s from row to row: is it in milliseconds?")
+    return tuple(doubts)
 
 
 def action_from_table(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 from collections.abc import Mapping
 from dataclasses import replace
@@ -23,7 +24,7 @@ from ..field.field import Field
 from ..field.learned import field_of
 from ..field.resampling import FASTEST_HZ, SLOWEST_HZ
 from ..field.stroke import StrokeInput, uniform_stroke
-from ..field.synthesis import synthesise
+from ..field.synthesis import adapts, synthesise
 from ..field.weights import field_for, load_field, own_material
 from ..material.hnf_file import SUFFIX, completed, read_hnf
 from ..material.library import find
@@ -34,6 +35,8 @@ from .seed import seed_of
 from .synth_long import Written, is_long, write_long
 from .verbs import HELP
 
+_NEGATIVE = re.compile(r"^-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$|^-(inf|nan)$", re.IGNORECASE)
+"""Of argparse's own, -1e1 is no number but an option that nobody knows."""
 LOOSEST_DB, TIGHTEST_DB = -10.0, -45.0
 """Below it what the reference itself does in single samples is not followed."""
 
@@ -64,6 +67,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
         help=f"evaluate the field where the stroke asks for it, to within {LOOSEST_DB:g} to {TIGHTEST_DB:g} dB of the "
         "model taken literally (default: 200 times a second, whatever that gives)",
     )  # fmt: skip
+    parser._negative_number_matcher = _NEGATIVE
     parser.add_argument(
         "--seed", type=seed_of, default=0, metavar="N", help="another seed, another draw of the same touch"
     )
@@ -84,18 +88,26 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--rate {arguments.rate:.10g}: a WAV needs a whole number of Hz.", remedy="Give e.g. 10000.")
     tolerance = _ratio(arguments.tolerance)
     field, material = _known(arguments.material, arguments.weights)
+    doubts: list[str] = []
     if arguments.action is not None:
-        action, stroke_name = read_action_csv(arguments.action, arguments.probe), arguments.action.name
+        action = read_action_csv(arguments.action, arguments.probe, warn=doubts.append)
+        stroke_name = arguments.action.name
     else:
         action = replace(primitive_action(arguments.stroke, seed=arguments.seed), probe=arguments.probe)
         stroke_name = arguments.stroke.name
     stroke = uniform_stroke(action, material.token, material.mechanics)
+    if tolerance is not None and not adapts(field, stroke):
+        raise UsageError(
+            "--tolerance has no say over these weights: their heads lag one another, and are heard at every state.",
+            remedy="Leave it out, or train with --accumulation past.",
+        )
     facts = {"stroke": stroke_name, "material": material.name}
     write = write_long if is_long(action.duration_s, arguments.rate) else _write_whole
     written = write(
         arguments.out, field, stroke, seed=arguments.seed, rate=arguments.rate, facts=facts, tolerance=tolerance
     )
-    for warning in written.warnings:
+    warnings = (*doubts, *written.warnings)
+    for warning in warnings:
         print(f"hnf: {warning}", file=sys.stderr)
     record = {
         "wav": str(arguments.out),
@@ -108,7 +120,7 @@ def run(arguments: argparse.Namespace) -> int:
         "rms_m_s2": written.rms,
         "peak_m_s2": written.peak,
         "confidence": written.confidence,
-        "warnings": list(written.warnings),
+        "warnings": list(warnings),
     }
     if arguments.json:
         print(json.dumps(record, indent=1))

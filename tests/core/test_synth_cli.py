@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -12,6 +12,9 @@ from hnf_core.cli.main import main
 from hnf_core.cli.synth_long import is_long
 from hnf_core.errors import FileError, StrokeError
 from hnf_core.export.wav import read_wav
+from hnf_core.field.config import FieldConfig
+from hnf_core.field.field import Field, initial_parameters
+from hnf_core.field.weights import save_field
 from hnf_core.material.library import load_library
 
 HEADER = "time_s,direction_rad,speed_m_s,force_n\n"
@@ -255,12 +258,58 @@ def test_a_tolerance_is_another_way_to_the_same_touch(tmp_path, capsys, material
     assert 0.0 < np.sqrt(np.mean(np.square(one - two))) < 0.1 * np.sqrt(np.mean(np.square(one)))
 
 
-@pytest.mark.parametrize("tolerance", ["-60", "3", "nan"])
+@pytest.mark.parametrize("tolerance", ["-60", "3", "nan", "-inf", "-5e0", "-1e2"])
 def test_a_tolerance_out_of_reach_is_refused(tmp_path, capsys, material, tolerance):
     words = ("--stroke", "left-right-soft", "--tolerance", tolerance, "--out", tmp_path / "x.wav")
     assert hnf("synth", "--material", material, *words) == 2
     assert "-10 to -45 dB" in capsys.readouterr().err
     assert not (tmp_path / "x.wav").exists()
+
+
+def test_a_tolerance_may_be_written_with_an_exponent(tmp_path, material):
+    words = ("--stroke", "left-right-soft", "--tolerance", "-1e1", "--out", tmp_path / "x.wav")
+    assert hnf("synth", "--material", material, *words) == 0
+
+
+def test_a_tolerance_without_a_say_is_refused(tmp_path, capsys):
+    """Weights whose heads lag one another: it was left aside in silence."""
+    entry, config = load_library()[0], FieldConfig.published(8)
+    own = json.dumps({"name": "mine", "token": entry.token.tolist(), "mechanics": asdict(entry.mechanics)})
+    weights, out = tmp_path / "own.safetensors", tmp_path / "x.wav"
+    save_field(weights, Field(config, initial_parameters(config, 1), metadata={"material": own}))
+    words = ("synth", "--weights", weights, "--stroke", "rub-slow", "--out", out)
+    assert hnf(*words, "--tolerance", "-30") == 2
+    assert "--tolerance has no say" in capsys.readouterr().err
+    assert not out.exists()
+    assert hnf(*words) == 0
+
+
+@pytest.mark.parametrize(
+    ("rows", "doubt"),
+    [
+        ([(0.0, 90.0), (0.5, 180.0)], "degrees"),
+        ([(0.0, -720.0), (0.5, 0.0)], "degrees"),
+        ([(0.0, 0.0), (1000.0, 0.1), (2000.0, 0.1)], "milliseconds"),
+        ([(0.0, 12.5), (0.5, -12.5)], ""),
+        ([(0.0, 0.0), (100.0, 0.0)], ""),
+        ([(0.0, 0.0), (0.1, 0.0), (0.2, 0.0), (60.0, 0.0)], ""),
+    ],
+)
+def test_numbers_of_another_unit_are_read_and_doubted(tmp_path, rows, doubt):
+    path, said = tmp_path / "a.csv", []
+    path.write_text(HEADER + "".join(f"{time},{direction},0.1,1\n" for time, direction in rows))
+    read_action_csv(path, warn=said.append)
+    assert len(said) == bool(doubt)
+    assert all(doubt in each and "a.csv" in each for each in said)
+
+
+def test_a_doubt_about_units_is_among_the_warnings(tmp_path, capsys, material):
+    table = tmp_path / "a.csv"
+    table.write_text(HEADER + "0,90,0.1,1\n0.5,180,0.1,1\n")
+    assert hnf("synth", "--material", material, "--action", table, "--out", tmp_path / "x.wav", "--json") == 0
+    said = capsys.readouterr()
+    assert any("degrees" in warning for warning in json.loads(said.out)["warnings"])
+    assert "degrees" in said.err
 
 
 def test_a_tolerance_is_kept_in_a_stroke_of_minutes_too(tmp_path, capsys, material):
