@@ -138,6 +138,34 @@ def test_a_denoised_view_of_few_samples_is_nearer_to_many_samples_than_a_raw_one
     assert 0.0 < denoised < 0.7 * raw
 
 
+def test_the_denoiser_leaves_the_ridges_that_are_touched():
+    """A few pixels wide, faint, in a noisy light: 0.68 by colour alone."""
+    cloth = coloured(add_plane(size=1.0), (0.1, 0.3, 0.3))
+    nodes, links = (getattr(cloth.active_material.node_tree, name) for name in ("nodes", "links"))
+    where, wave, bump, shade = (nodes.new(f"ShaderNode{name}") for name in ("TexCoord", "TexWave", "Bump", "ValToRGB"))
+    wave.inputs["Scale"].default_value, bump.inputs["Distance"].default_value = 10.0, 0.001
+    for stop, colour in zip(shade.color_ramp.elements, ((0.08, 0.25, 0.25, 1.0), (0.1, 0.33, 0.33, 1.0)), strict=True):
+        stop.color = colour
+    links.new(where.outputs["Object"], wave.inputs["Vector"])
+    links.new(wave.outputs["Fac"], bump.inputs["Height"])
+    links.new(wave.outputs["Fac"], shade.inputs["Fac"])
+    for output, name in ((bump.outputs["Normal"], "Normal"), (shade.outputs["Color"], "Base Color")):
+        links.new(output, nodes["Principled BSDF"].inputs[name])
+    wide = lamp((0, 0, 2))
+    wide.rotation_euler, wide.data.angle = (0.0, 1.0, 0.0), 3.0
+    camera = overview_camera([[0, 0, 0]], [0, 0, 1], 0.3, 192, 108)
+
+    def ridges(samples, denoised):
+        """What changes within seven pixels."""
+        with Overviews(bpy.context.scene, samples=samples, whole=True) as overviews:
+            overviews.temporary.scene.cycles.use_denoising = denoised
+            seen = linear_to_srgb(overviews.view(camera)[0].rgb)[..., 1]
+        return seen - np.stack([np.roll(seen, shift, axis=1) for shift in range(-3, 4)]).mean(axis=0)
+
+    true, shown = ridges(128, False), ridges(touch_view.SAMPLES, True)
+    assert np.corrcoef(true.ravel(), shown.ravel())[0, 1] > 0.8
+
+
 def test_the_pictures_of_a_run_are_taken_on_one_scene_and_none_is_made_without_a_stroke(things, monkeypatch):
     _, floor = things
     scenes = []
