@@ -186,7 +186,7 @@ def touch_file(path: Path) -> Cost:
     import bpy
 
     from ..bridge.quiet import quiet
-    from ..touch.report import earlier_strokes
+    from ..touch.earlier import earlier_run
     from ..touch.run import run
 
     with quiet():
@@ -198,7 +198,7 @@ def touch_file(path: Path) -> Cost:
         with contextlib.redirect_stdout(told), contextlib.redirect_stderr(io.StringIO()):
             code = run(request)
         cost = clock.cost({})
-        if code != 0 or not earlier_strokes(Path(name)):
+        if code != 0 or not earlier_run(Path(name)).strokes:
             raise HnfError(f"the run failed:\n{told.getvalue()[-1500:]}", where=NAME)
         return replace(cost, work=_work(_counts(told.getvalue())))
 

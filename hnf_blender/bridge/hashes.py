@@ -43,6 +43,8 @@ TEXTURE_MAPPING = (
     "use_max", "min", "max",
 )  # fmt: skip
 
+OUTPUTS = ("ShaderNodeOutputMaterial", "ShaderNodeOutputWorld", "ShaderNodeOutputLight", "NodeGroupOutput")
+
 SAME = 1e-6
 """Blender keeps such values as float32."""
 
@@ -60,6 +62,27 @@ def material_hash(material: Any, frame: int = 1) -> str:
         return content_hash("plain", repr([list(plain[0]), plain[1], plain[2]]))
     method = getattr(material, "displacement_method", "")
     return content_hash("nodes", method, *_tree_parts(material.node_tree, set(), frame))
+
+
+def settings_text(block: Any) -> str:
+    """Every number, word and switch that a datablock or a group of properties has of its own, without what all
+    datablocks have, and without its nodes; "" for None."""
+    import bpy
+
+    if block is None:
+        return ""
+    common = {"rna_type", "name", "use_nodes", *bpy.types.ID.bl_rna.properties.keys()}
+    found = [
+        (prop.identifier, _plain(getattr(block, prop.identifier)))
+        for prop in block.bl_rna.properties
+        if prop.type not in {"POINTER", "COLLECTION"} and not prop.is_readonly and prop.identifier not in common
+    ]
+    return repr(sorted(found))
+
+
+def tree_hash(tree: Any, frame: int = 1) -> str:
+    """As material_hash, of the node tree of a world or a light; "" for None."""
+    return "" if tree is None else content_hash("tree", *_tree_parts(tree, set(), frame))
 
 
 def _tree_parts(tree: Any, seen: set[str], frame: int) -> Iterator[str]:
@@ -153,11 +176,11 @@ def _special_parts(node: Any, seen: set[str], frame: int) -> Iterator[str]:
 
 def _active_outputs(tree: Any) -> Iterator[str]:
     """Where a tree has several outputs of one kind: the one that counts."""
-    for kind in ("ShaderNodeOutputMaterial", "NodeGroupOutput"):
+    for kind in OUTPUTS:
         outputs = [node for node in tree.nodes if node.bl_idname == kind]
         if len(outputs) > 1:
             yield repr(sorted(node.name for node in outputs if node.is_active_output))
 
 
 def _plain(value: Any) -> object:
-    return value if isinstance(value, (bool, int, float, str)) else list(value)
+    return value if isinstance(value, (bool, int, float, str)) or not hasattr(value, "__len__") else list(value)

@@ -6,29 +6,38 @@ import itertools
 import re
 import unicodedata
 from collections.abc import Container, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from hnf_core.action.action import Action
 from hnf_core.errors import FileError
 from hnf_core.export.path_on_view import StrokeView
 from hnf_core.export.picture import stroke_picture
-from hnf_core.export.wav import wav_bytes
+from hnf_core.export.wav import read_wav, wav_bytes
 from hnf_core.files import content_hash, write_atomically, write_bytes
 from hnf_core.material.fuse import routes_by_band
+from hnf_core.signal import Signal
 
 from ..bridge.quiet import quiet
 from .bake import encoder_of, resolved_wavelength_of, widest_map
-from .feel import BakedStroke, Felt, delivered, signal_facts
+from .feel import BakedStroke, Felt, delivered, signal_facts, stroke_input
 from .jobs import Job
 from .report import StrokeReport
 
 
 def deliver(
-    folder: Path, job: Job, baked: BakedStroke, felt: Felt, view: StrokeView, taken: Container[str] = ()
+    folder: Path,
+    job: Job,
+    baked: BakedStroke,
+    felt: Felt,
+    view: StrokeView,
+    taken: Container[str] = (),
+    picture_key: str = "",
 ) -> StrokeReport:
     """Write the WAV, then the picture, each atomically; returns the stroke's entry for the report. taken: the WAVs of
-    the run's other strokes."""
+    the run's other strokes. picture_key: for the entry."""
     main, patch = baked.main_material, baked.main_patch
     record, fused = baked.records[patch], baked.fused[patch]
     routes = routes_by_band(fused.routes)
@@ -39,17 +48,8 @@ def deliver(
     data = wav_bytes(signal, where=f"stroke '{job.name}'")
     stem = next(each for each in numbered(file_stem(job.name)) if f"{each}.wav" not in taken)
     write_bytes(folder / f"{stem}.wav", data)
-    stroke_picture(
-        folder / f"{stem}.png", title=job.name, action=felt.action, signal=signal, view=view,
-        facts={
-            "Material": f"{main.shader or 'no material'} on {job.object_name} → {names}, "
-                        f"{main.confidence:.0%} ({main.reason})",
-            "Routes": facts["routes"],
-            "Height": _height_line(facts["height_source"], resolved),
-            "Confidence": f"{felt.confidence:.0%}; probe: {baked.stroke.probe}",
-        },
-        tactile=widest_map(record),
-    )  # fmt: skip
+    confidence = round(felt.confidence, 4)
+    _draw(folder / f"{stem}.png", job, baked, felt.action, signal, confidence, view)
     return StrokeReport(
         name=job.name,
         object=job.object_name,
@@ -63,7 +63,7 @@ def deliver(
         picture=f"{stem}.png",
         duration_s=round(signal.duration_s, 6),
         rms_m_s2=signal.rms,
-        confidence=round(felt.confidence, 4),
+        confidence=confidence,
         probe=baked.stroke.probe,
         seed=job.seed,
         fresh=False,
@@ -72,7 +72,34 @@ def deliver(
         warnings=felt.warnings,
         encoder=encoder_of(record),
         tactile_map_weights="" if record.predicted is None else record.predicted.weights,
+        picture_key=picture_key,
     )
+
+
+def draw_again(
+    folder: Path, entry: StrokeReport, job: Job, baked: BakedStroke, view: StrokeView, picture_key: str
+) -> StrokeReport:
+    """Another picture of a stroke whose signal is there; returns its entry with this picture's key."""
+    signal = read_wav(folder / entry.wav)
+    _draw(folder / entry.picture, job, baked, stroke_input(baked).action, signal, entry.confidence, view)
+    return replace(entry, picture_key=picture_key)
+
+
+def _draw(
+    path: Path, job: Job, baked: BakedStroke, action: Action, signal: Signal, confidence: float, view: StrokeView
+) -> None:
+    main, record, facts = baked.main_material, baked.records[baked.main_patch], signal_facts(baked)
+    stroke_picture(
+        path, title=job.name, action=action, signal=signal, view=view,
+        facts={
+            "Material": f"{main.shader or 'no material'} on {job.object_name} → {facts['library_material']}, "
+                        f"{main.confidence:.0%} ({main.reason})",
+            "Routes": facts["routes"],
+            "Height": _height_line(facts["height_source"], resolved_wavelength_of(record)),
+            "Confidence": f"{confidence:.0%}; probe: {baked.stroke.probe}",
+        },
+        tactile=widest_map(record),
+    )  # fmt: skip
 
 
 def file_stem(name: str) -> str:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Iterable
 from pathlib import Path
+
+from hnf_core.files import content_hash
 
 PARTS = {".gltf": (".bin",), ".obj": (".mtl",)}
 """What importers read beside the file and leave no path of: every file of that kind in the same folder is named."""
@@ -19,6 +23,18 @@ def outside_files(scene: Path) -> list[str]:
     for suffix in PARTS.get(scene.suffix.lower(), ()):
         found |= {path for path in scene.absolute().parent.iterdir() if path.suffix.lower() == suffix}
     return sorted(str(path) for path in found if path.is_file())
+
+
+def source_hash(scene: Path, outside: Iterable[str]) -> str:
+    """Of the scene's own file by its content, of those outside, which may be films, by their size and time of change;
+    "" where one cannot be read any more."""
+    try:
+        with scene.open("rb") as stream:
+            own = hashlib.file_digest(stream, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
+        facts = [(name, Path(name).stat()) for name in outside]
+    except OSError:
+        return ""
+    return content_hash(own, *(f"{name}\0{fact.st_size}\0{fact.st_mtime_ns}" for name, fact in facts))
 
 
 def _tiles(path: Path) -> list[Path]:

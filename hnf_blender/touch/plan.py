@@ -87,17 +87,20 @@ class PlannedProbe:
 
 @dataclass(frozen=True)
 class Plan:
+    """pictures: upper bound of those that fresh strokes get anew, since the scene's file is another than it was."""
+
     needed: tuple[Needed, ...]
     fresh: tuple[Fresh, ...]
     skipped: tuple[Skipped, ...]
     failed: tuple[Failed, ...]
     notes: tuple[str, ...]
     probes: tuple[PlannedProbe, ...] = ()
+    pictures: int = 0
 
     @property
     def renders(self) -> int:
         """Upper bound: a close-up a patch, and one a probe, in two looks at most, and one picture a stroke."""
-        return LOOKS * self.close_ups + len(self.needed)
+        return LOOKS * self.close_ups + len(self.needed) + self.pictures
 
     @property
     def close_ups(self) -> int:
@@ -116,7 +119,8 @@ class Plan:
         looks += sum(
             each.close_ups * closeup_seconds(() if each.slot is None else (each.slot,)) for each in self.probes
         )
-        return looks + self.predictions * PREDICTION_SECONDS + len(self.needed) * stroke
+        strokes = len(self.needed) * stroke + self.pictures * PICTURE_SECONDS
+        return looks + self.predictions * PREDICTION_SECONDS + strokes
 
     def as_json(self) -> str:
         estimate = {
@@ -145,7 +149,12 @@ class Plan:
                 cost = "1 close-up" if probe.close_ups else "examined before, nothing to render"
                 lines.append(f"  {probe.name}: on {probe.object}, {probe.material or 'no material'}; {cost}")
                 lines += [_route_line(probe.slot, probe.predictions)] if probe.slot is not None else []
-        lines += ["Fresh:", *(f"  {entry.stroke}: {entry.wav}" for entry in self.fresh)] if self.fresh else []
+        lines += ["Up to date:", *(f"  {entry.stroke}: {entry.wav}" for entry in self.fresh)] if self.fresh else []
+        if self.pictures:
+            lines.append(
+                "  The scene's file has changed since: the baked .blend is written anew, and at most "
+                f"{self.pictures} pictures, where they show what changed."
+            )
         lines += ["Skipped:", *_bullets(self.skipped)] if self.skipped else []
         lines += ["Problems:", *(f"  {entry.why}" for entry in self.failed)] if self.failed else []
         lines += ["Notes:", *(f"  {with_option(note)}" for note in self.notes)] if self.notes else []

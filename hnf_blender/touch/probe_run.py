@@ -14,11 +14,12 @@ from hnf_core.errors import HnfError
 
 from ..bridge.strokes import stroke_objects
 from .choose import shader_name
+from .earlier import earlier_run
 from .jobs import Gathered, Session
 from .plan import Plan, PlannedProbe
 from .probe import Probed, is_baked, locate, probe_steps
 from .probe_report import write_probe
-from .report import Failed, Report, Skipped, earlier_strokes
+from .report import Failed, Report, Skipped
 from .routes import object_plans
 from .steps import CACHE_NAME, timed
 
@@ -34,11 +35,14 @@ def without_strokes(session: Session) -> Gathered:
 
 
 def keep_strokes(report: Report, folder: Path, baked_name: str) -> None:
-    """The report goes on listing the strokes that an earlier run of this scene left in folder: a later run knows by it
-    what is fresh."""
-    known = earlier_strokes(folder, report.scene).values()
-    report.strokes = [replace(each, fresh=True) for each in known if (folder / Path(each.wav).name).is_file()]
+    """The report goes on listing what an earlier run of this scene left in folder: a later run knows by it what is
+    fresh."""
+    earlier = earlier_run(folder)
+    if earlier.scene != report.scene:
+        return
+    report.strokes = [replace(each, fresh=True) for each in earlier.strokes if (folder / Path(each.wav).name).is_file()]
     report.baked_blend = baked_name if report.strokes and (folder / baked_name).is_file() else ""
+    report.source, report.left_over = earlier.source, list(earlier.left_over)
 
 
 def with_probes(session: Session, plan: Plan) -> Plan:

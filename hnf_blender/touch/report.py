@@ -19,7 +19,8 @@ REPORT_NAME = "report.json"
 class StrokeReport:
     """One delivered stroke. routes: band wavelength → route. key: hash of everything the signal follows from.
     warnings: what lowered the confidence of the synthesis; a fresh stroke keeps its own. encoder: make of E that
-    described the map, "" without one. tactile_map_weights: hash of D_φ's where the map was predicted, else ""."""
+    described the map, "" without one. tactile_map_weights: hash of D_φ's where the map was predicted, else "".
+    picture_key: hash of what the picture shows beside the touch."""
 
     name: str
     object: str
@@ -42,6 +43,7 @@ class StrokeReport:
     warnings: Sequence[str] = ()
     encoder: str = ""
     tactile_map_weights: str = ""
+    picture_key: str = ""
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,8 @@ class Report:
 
     metres_per_unit: length of a scene unit, which every height and speed is scaled by; scale_source: who said so.
     probes: an entry for each place that was looked at, as docs/probe.md says it. files: those beside the scene's own
-    that it was read with.
+    that it was read with. source: hash of the scene's own and of those, as the baked .blend was made from them, "" =
+    it is not made yet. left_over: files of an earlier run in the folder that no stroke owns any more.
     """
 
     scene: str
@@ -90,6 +93,8 @@ class Report:
     baked_blend: str = ""
     probes: list[dict[str, Any]] = field(default_factory=list)
     files: list[str] = field(default_factory=list)
+    source: str = ""
+    left_over: list[str] = field(default_factory=list)
 
     def warn(self, text: str) -> None:
         if text not in self.warnings:
@@ -101,18 +106,6 @@ class Report:
 
     def write(self, folder: Path) -> None:
         write_text(folder / REPORT_NAME, self.as_json())
-
-
-def earlier_strokes(folder: Path, scene: str = "") -> dict[str, StrokeReport]:
-    """Strokes of an earlier run in folder by key; empty where there is none or its report cannot be read. scene: of
-    this scene file alone, "" = whichever."""
-    try:
-        record = json.loads((folder / REPORT_NAME).read_text(encoding="utf-8"))
-        if record["schema"] != SCHEMA or scene not in ("", record["scene"]):
-            return {}
-        return {entry["key"]: StrokeReport(**entry) for entry in record["strokes"]}
-    except (OSError, ValueError, KeyError, TypeError):
-        return {}
 
 
 def _finite(value: Any) -> Any:

@@ -13,19 +13,21 @@ from typing import Any
 from hnf_core.cli.progress import Progress, ProgressBar
 from hnf_core.cli.touch import TouchRequest
 from hnf_core.errors import FileError
+from hnf_core.export.path_on_view import StrokeView
 from hnf_core.files import content_hash
 from hnf_core.folder_lock import folder_lock
 
 from ..bridge.importers import open_scene
 from ..bridge.metres import metres_per_unit
 from ..bridge.scene_names import object_in
-from .deliver import deliver, save_baked
+from .deliver import deliver, draw_again, save_baked
+from .earlier import Earlier, earlier_run, left_over
 from .feel import BakedStroke, feel
 from .jobs import Gathered, Job, Session, gather
-from .outside import outside_files
+from .outside import outside_files, source_hash
 from .plan import TYPICAL_PATH_M, Fresh, Needed, Plan, patches_at_most
 from .probe_run import keep_strokes, run_probes, with_probes, without_strokes
-from .report import Report, StrokeReport, earlier_strokes
+from .report import Report, StrokeReport
 from .routes import slot_plans
 from .steps import CACHE_NAME, bake_steps, timed
 from .tell import tell
@@ -46,11 +48,14 @@ def run(request: TouchRequest) -> int:
 
 @dataclass(frozen=True)
 class _Prepared:
-    """All that is known before anything is rendered. open_s, plan_s: seconds it took."""
+    """All that is known before anything is rendered. files: that the scene was read with. source: hash of its own and
+    of these. open_s, plan_s: seconds it took."""
 
     session: Session
     found: Gathered
-    earlier: dict[str, StrokeReport]
+    files: list[str]
+    source: str
+    earlier: Earlier
     plan: Plan
     open_s: float
     plan_s: float
@@ -62,23 +67,25 @@ def _prepared(request: TouchRequest) -> _Prepared:
     opened = time.monotonic()
     session = _session(scene, request)
     found = without_strokes(session) if request.only_probes else gather(session)
-    earlier = {} if request.out is None else earlier_strokes(request.out)
-    plan = with_probes(session, make_plan(session, found, earlier))
-    return _Prepared(session, found, earlier, plan, opened - started, time.monotonic() - opened)
+    files = outside_files(_source(request))
+    source = source_hash(_source(request), files)
+    earlier = earlier_run(request.out)
+    plan = with_probes(session, make_plan(session, found, earlier, source))
+    return _Prepared(session, found, files, source, earlier, plan, opened - started, time.monotonic() - opened)
 
 
 def _touch(request: TouchRequest) -> int:
     started = time.monotonic()
     ready = _prepared(request)
     session, found = ready.session, ready.found
-    report = _new_report(session, found)
+    report = _new_report(session, found, ready.files)
     report.timings = {"open_s": round(ready.open_s, 3), "plan_s": round(ready.plan_s, 3)}
     bar = ProgressBar()
     try:
         if request.only_probes:
             keep_strokes(report, request.folder, baked_name(session))
         else:
-            for progress in touch_steps(session, found, ready.plan, ready.earlier, report):
+            for progress in touch_steps(session, found, ready.earlier, ready.source, report):
                 bar.show(progress)
         for progress in run_probes(session, report):
             bar.show(progress)
@@ -90,25 +97,34 @@ def _touch(request: TouchRequest) -> int:
 
 
 def touch_steps(
-    session: Session, found: Gathered, plan: Plan, earlier: dict[str, StrokeReport], report: Report
+    session: Session, found: Gathered, earlier: Earlier, source: str, report: Report
 ) -> Generator[Progress, None, None]:
-    """Everything that the plan needs; report grows with each stroke. Where all is fresh, nothing is done."""
+    """Everything that is needed; report grows with each stroke. Where all is fresh, and the scene's file is what it was
+    (source: its hash), nothing is done. Where that is another, fresh strokes are described again from what is stored,
+    so that their tokens come into the new .blend, and pictured again where their picture would show the change."""
     folder = session.request.folder
-    fresh = {job.key: earlier[job.key] for job in found.jobs if _is_fresh(job, earlier, folder)}
+    fresh = earlier.fresh(found.jobs, folder)
     baked_path = folder / baked_name(session)
     report.baked_blend = baked_path.name
-    report.strokes = [replace(fresh[job.key], name=job.name, fresh=True) for job in found.jobs if job.key in fresh]
+    report.strokes = [replace(fresh[job.name], name=job.name, fresh=True) for job in found.jobs if job.name in fresh]
     for stroke in report.strokes:
         for warning in stroke.warnings:
             report.warn(f"stroke '{stroke.name}': {warning}")
-    if found.jobs and all(job.key in fresh for job in found.jobs) and baked_path.is_file():
+    names = {job.name for job in found.jobs} | {each.stroke for each in found.failed}
+    report.left_over = left_over(earlier, folder, report.scene, report.strokes, names)
+    if found.jobs and len(fresh) == len(found.jobs) and baked_path.is_file() and earlier.is_of(found.jobs, source):
+        report.source = source
         return
-    with Views(session.scene, session.depsgraph, session.metres_per_unit, report.counts) as views:
+    with Views(session.scene, session.depsgraph, session.metres_per_unit, report.counts, source) as views:
 
         def each(job: Job, described: BakedStroke) -> Iterator[str]:
-            if job.key not in fresh:
+            key = _picture_key(job, described, views)
+            if job.name not in fresh:
                 yield "synthesis"
-                report.strokes.append(_feel(session, job, described, views, report))
+                report.strokes.append(_feel(session, job, described, views, key, report))
+            elif fresh[job.name].picture_key != key:
+                yield "picture"
+                _picture_again(session, job, described, views, key, report)
 
         steps = bake_steps(session, found.jobs, folder / CACHE_NAME, report, each)
         baked = yield from _written(steps, report, folder)
@@ -120,6 +136,8 @@ def touch_steps(
                 # Or it would be felt in another size where it is opened.
                 session.scene.hnf.metres_per_unit = session.metres_per_unit
             save_baked(baked_path)
+            report.source = source
+    report.left_over = left_over(earlier, folder, report.scene, report.strokes, {each.stroke for each in report.failed})
 
 
 def _written(
@@ -139,20 +157,24 @@ def _written(
             yield progress
 
 
-def make_plan(session: Session, found: Gathered, earlier: dict[str, StrokeReport]) -> Plan:
-    """Nothing is rendered and no ray is cast for it."""
+def make_plan(session: Session, found: Gathered, earlier: Earlier, source: str) -> Plan:
+    """Nothing is rendered and no ray is cast for it. source: hash of the scene's file."""
     needed, fresh = [], []
+    known = earlier.fresh(found.jobs, session.request.out)
     for job in found.jobs:
-        if _is_fresh(job, earlier, session.request.out):
-            fresh.append(Fresh(job.name, job.object_name, earlier[job.key].wav))
+        if job.name in known:
+            fresh.append(Fresh(job.name, job.object_name, known[job.name].wav))
             continue
         length = TYPICAL_PATH_M if job.stroke is None else job.stroke.length_m
         slots = session.facts(object_in(session.scene, job.object_name)).materials
         shader = slots[job.slot] if job.slot is not None and job.slot < len(slots) else ", ".join(slots)
-        why = "changed since the last run" if _has_name(earlier, job.name) else "not baked yet"
+        why = "changed since the last run" if earlier.has_name(job.name) else "not baked yet"
         routes = slot_plans(session, job)
         needed.append(Needed(job.name, job.object_name, shader, patches_at_most(length), why, routes))
-    return Plan(tuple(needed), tuple(fresh), tuple(found.skipped), tuple(found.failed), tuple(found.notes))
+    pictures = 0 if earlier.source == source else len(fresh)
+    return Plan(
+        tuple(needed), tuple(fresh), tuple(found.skipped), tuple(found.failed), tuple(found.notes), pictures=pictures
+    )
 
 
 def baked_name(session: Session) -> str:
@@ -197,7 +219,7 @@ def _source(request: TouchRequest) -> Path:
     return request.scene if request.scene is not None else Path(bpy.data.filepath)
 
 
-def _new_report(session: Session, found: Gathered) -> Report:
+def _new_report(session: Session, found: Gathered, files: list[str]) -> Report:
     request = session.request
     report = Report(
         scene=_source(request).name,
@@ -205,38 +227,43 @@ def _new_report(session: Session, found: Gathered) -> Report:
         scale_source="the scene's units" if request.metres_per_unit is None else "--scale",
         skipped=list(found.skipped),
         failed=list(found.failed),
-        files=outside_files(_source(request)),
+        files=files,
     )
     for note in found.notes:
         report.warn(note)
     return report
 
 
-def _is_fresh(job: Job, earlier: dict[str, StrokeReport], folder: Path | None) -> bool:
-    """The signal of an equal stroke is there, byte for byte as it was written. folder: None = there is none."""
-    known = earlier.get(job.key)
-    if known is None or folder is None or Path(known.wav).name != known.wav:
-        return False
-    try:
-        return content_hash((folder / known.wav).read_bytes()) == known.wav_hash and (folder / known.picture).is_file()
-    except OSError:
-        return False
-
-
-def _has_name(earlier: dict[str, StrokeReport], name: str) -> bool:
-    return any(stroke.name == name for stroke in earlier.values())
-
-
-def _feel(session: Session, job: Job, baked: BakedStroke, views: Views, report: Report) -> StrokeReport:
+def _feel(
+    session: Session, job: Job, baked: BakedStroke, views: Views, picture_key: str, report: Report
+) -> StrokeReport:
     with timed(report, "synthesis_s"):
         felt = feel(baked, session.field, job.seed, report.counts)
     for warning in felt.warnings:
         report.warn(f"stroke '{job.name}': {warning}")
     with timed(report, "picture_s"):
-        view, notes = views.of_stroke(baked.contacts, baked.touched.surface, baked.touched.obj, job.name)
-        for note in notes:
-            report.warn(note)
-        return deliver(session.request.folder, job, baked, felt, view, {stroke.wav for stroke in report.strokes})
+        view, taken = _view(job, baked, views, report), {stroke.wav for stroke in report.strokes}
+        return deliver(session.request.folder, job, baked, felt, view, taken, picture_key)
+
+
+def _picture_again(
+    session: Session, job: Job, baked: BakedStroke, views: Views, picture_key: str, report: Report
+) -> None:
+    with timed(report, "picture_s"):
+        at = next(index for index, stroke in enumerate(report.strokes) if stroke.name == job.name)
+        view = _view(job, baked, views, report)
+        report.strokes[at] = draw_again(session.request.folder, report.strokes[at], job, baked, view, picture_key)
+
+
+def _view(job: Job, baked: BakedStroke, views: Views, report: Report) -> StrokeView:
+    view, notes = views.of_stroke(baked.contacts, baked.touched.surface, baked.touched.obj, job.name)
+    for note in notes:
+        report.warn(note)
+    return view
+
+
+def _picture_key(job: Job, baked: BakedStroke, views: Views) -> str:
+    return content_hash(job.name, views.hash_of(baked.contacts, baked.touched.surface, baked.touched.obj))
 
 
 @contextlib.contextmanager

@@ -27,6 +27,12 @@ def tell(report: Report, request: TouchRequest) -> int:
         for stroke in () if request.only_probes else report.strokes:
             print(stroke_line(stroke, folder))
     sys.stdout.flush()  # else the notes would come before what they are about
+    if report.left_over:
+        print(
+            f"note: {', '.join(report.left_over)}: left by an earlier run, and of no stroke of this one. Nothing reads "
+            "them; delete them if you do not need them.",
+            file=sys.stderr,
+        )
     for warning in report.warnings:
         print(f"note: {with_option(warning)}", file=sys.stderr)
     for failed in report.failed:

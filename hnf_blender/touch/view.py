@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 
 from hnf_core.action.contacts import Contacts
 from hnf_core.export.path_on_view import StrokeView
+from hnf_core.files import content_hash
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.view import RgbdView
 
 from ..bridge.boxes import world_boxes
 from ..bridge.meshes import Surface
 from ..bridge.picture import Overviews
+from ..bridge.picture_hash import PictureHashes
 from ..bridge.scene_camera import camera_record, overview_camera
 from ..compat import has_denoiser
 from .cut_open import BEHIND_M, cut_open, depth_at
@@ -85,12 +87,13 @@ class Views:
     """Overviews of one run; a scene camera that serves several strokes is rendered once. Use as a context manager.
 
     depsgraph: of the scene as it is now. A run adds nothing but strokes to it, so that boxes hold for all of it: after
-    any change of the file's data Blender would evaluate the relations of every object again.
+    any change of the file's data Blender would evaluate the relations of every object again. source: hash of its file.
     """
 
-    def __init__(self, scene: Any, depsgraph: Any, metres_per_unit: float, counts: Counts) -> None:
+    def __init__(self, scene: Any, depsgraph: Any, metres_per_unit: float, counts: Counts, source: str = "") -> None:
         self._scene, self._metres, self._counts = scene, metres_per_unit, counts
         self._crowd = crowd_of(scene, depsgraph, metres_per_unit)
+        self._hashes = PictureHashes(scene, depsgraph, metres_per_unit, source)
         self._from_scene_camera: Overview | None = None
         self._stack = ExitStack()
         self._overviews: Overviews | None = None
@@ -100,6 +103,14 @@ class Views:
 
     def __exit__(self, *error: object) -> None:
         self._stack.close()
+
+    def hash_of(self, contacts: Contacts, surface: Surface, touched: Any) -> str:
+        """Of all that the picture of a stroke may show; nothing is rendered."""
+        shots = self._shots(contacts, surface)
+        views = (self._hashes.of(shot.camera, self._objects(shot, touched)) for shot in shots)
+        return content_hash(
+            *views, shots[0].path.tobytes(), contacts.force.tobytes(), str(_samples()), str(has_denoiser())
+        )
 
     def of_stroke(
         self, contacts: Contacts, surface: Surface, touched: Any, name: str

@@ -1,0 +1,226 @@
+"""A run into a folder that holds an earlier one's results: nothing in it is older than the scene. Work is counted."""
+
+from __future__ import annotations
+
+import json
+
+import bpy
+import numpy as np
+import pytest
+from builders import add_plane
+from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, touch
+
+from hnf_blender.bridge.storage import read_tokens
+from hnf_blender.cli import main
+from hnf_blender.touch.view import LEAST_SHARE
+
+NOTHING = {"close_ups": 0, "renders": 0, "rays": 0, "network_calls": 0, "tokens": 0, "diffusion_calls": 0}
+PLACE = (0.04, 0.03, 0.02)
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """Two strokes, the longer of which the camera shows; a lamp, a world, and a plate that no stroke touches."""
+    plate = ridge_plate()
+    line_stroke("Along", length=0.02, surface=plate)
+    line_stroke("Beside", length=0.008, centre=(0.0, 0.02, 0.0), surface=plate)
+    lemon = add_plane("Lemon", 0.03)
+    lemon.location = (0.03, 0.0, 0.005)
+    lemon.data.materials.append(bpy.data.materials.new("Lemon peel"))
+    bpy.context.scene.camera = camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    camera.location, camera.data.lens, camera.data.clip_start = (0.0, 0.0, 0.15), 50.0, 0.01
+    lamp = bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "SUN"))
+    lamp.rotation_euler = (0.5, 0.3, 0.0)
+    bpy.context.scene.world = bpy.data.worlds.new("Grey")
+    for obj in (camera, lamp):
+        bpy.context.scene.collection.objects.link(obj)
+    return save_scene(tmp_path / "scene.blend")
+
+
+def changed(scene, change):
+    bpy.ops.wm.open_mainfile(filepath=str(scene))
+    change()
+    return save_scene(scene)
+
+
+def move(name: str, place=PLACE):
+    return lambda: setattr(bpy.data.objects[name], "location", place)
+
+
+def pictures(out, report) -> dict[str, bytes]:
+    return {stroke["name"]: (out / stroke["picture"]).read_bytes() for stroke in report["strokes"]}
+
+
+def baked(out, report):
+    bpy.ops.wm.open_mainfile(filepath=str(out / report["baked_blend"]))
+    return bpy.data.objects
+
+
+def strength_of_the_lamp():
+    bpy.data.lights["Lamp"].energy = 4.0
+
+
+def colour_of_the_world():
+    world = bpy.data.worlds["Grey"]
+    world.use_nodes = True
+    world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.5, 0.1, 0.1, 1.0)
+
+
+def colour_beside():
+    material = bpy.data.materials["Lemon peel"]
+    material.use_nodes = True
+    material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.8, 0.7, 0.1, 1.0)
+
+
+def shape_beside():
+    bpy.data.objects["Lemon"].data.vertices[0].co.x -= 0.005
+
+
+def hidden_beside():
+    bpy.data.objects["Lemon"].hide_render = True
+
+
+SEEN = {
+    "camera": move("Camera", (0.001, 0.0, 0.15)),
+    "lens": lambda: setattr(bpy.data.cameras["Camera"], "lens", 45.0),
+    "place beside": move("Lemon", (0.02, 0.0, 0.005)),
+    "lamp": strength_of_the_lamp,
+    "world": colour_of_the_world,
+    "colour beside": colour_beside,
+    "shape beside": shape_beside,
+    "hidden beside": hidden_beside,
+}
+
+
+@pytest.mark.parametrize("change", SEEN.values(), ids=SEEN)
+def test_what_a_picture_shows_is_pictured_anew_and_nothing_is_felt_again(scene, tmp_path, change) -> None:
+    """As a run into an empty folder would show it."""
+    out = tmp_path / "out"
+    _, first = touch(scene, out)
+    assert first["counts"]["close_ups"] > 0
+    before = pictures(out, first)
+    changed(scene, change)
+    code, second = touch(scene, out)
+    assert code == 0
+    assert [stroke["fresh"] for stroke in second["strokes"]] == [True, True]
+    assert second["counts"] == NOTHING | {"renders": second["counts"]["renders"], "rays": second["counts"]["rays"]}
+    after = pictures(out, second)
+    assert after["Along"] != before["Along"]
+    assert second["counts"]["renders"] == len({*after.values()} - {*before.values()})
+    _, alone = touch(scene, tmp_path / "alone")
+    assert after == pictures(tmp_path / "alone", alone)
+    _, third = touch(scene, out)
+    assert third["counts"] == NOTHING
+
+
+def test_the_baked_file_is_the_scene_as_it_is_now(scene, tmp_path) -> None:
+    """What no picture shows comes into it without a render; its tokens stay."""
+    out = tmp_path / "out"
+    _, first = touch(scene, out)
+    tokens = read_tokens(baked(out, first)[PLATE].data)
+
+    def change() -> None:
+        add_plane("Far off", 0.1).location = (0.0, 0.0, 50.0)
+        bpy.context.scene["note"] = "later"
+
+    changed(scene, change)
+    _, second = touch(scene, out)
+    assert second["counts"] == NOTHING | {"rays": second["counts"]["rays"]}
+    assert pictures(out, second) == pictures(out, first)
+    assert "Far off" in baked(out, second)
+    assert bpy.context.scene["note"] == "later"
+    again = read_tokens(bpy.data.objects[PLATE].data)
+    assert np.array_equal(again.index, tokens.index)
+    assert np.array_equal(again.palette.tokens, tokens.palette.tokens)
+    written = (out / second["baked_blend"]).stat().st_mtime_ns
+    _, third = touch(scene, out)
+    assert third["counts"] == NOTHING
+    assert (out / second["baked_blend"]).stat().st_mtime_ns == written
+    assert second["source"] == third["source"] != first["source"]
+
+
+def test_results_of_an_older_version_are_looked_at_once(scene, tmp_path) -> None:
+    """A report that does not say what its pictures and its .blend were made from."""
+    out = tmp_path / "out"
+    _, first = touch(scene, out)
+    report = json.loads((out / "report.json").read_text())
+    del report["source"], report["left_over"]
+    for stroke in report["strokes"]:
+        del stroke["picture_key"]
+    (out / "report.json").write_text(json.dumps(report))
+    _, second = touch(scene, out)
+    assert [stroke["fresh"] for stroke in second["strokes"]] == [True, True]
+    assert (second["counts"]["close_ups"], second["counts"]["renders"]) == (0, 2)
+    assert pictures(out, second) == pictures(out, first)
+    assert touch(scene, out)[1]["counts"] == NOTHING
+
+
+def test_files_of_a_stroke_that_is_gone_are_named_and_kept(scene, tmp_path, capsys) -> None:
+    out = tmp_path / "out"
+    touch(scene, out)
+    changed(scene, lambda: bpy.data.objects.remove(bpy.data.objects["Beside"]))
+    capsys.readouterr()
+    for _ in range(2):  # as long as they lie there
+        _, report = touch(scene, out)
+        assert report["left_over"] == ["beside.png", "beside.wav"]
+        assert (out / "beside.wav").is_file()
+        assert "beside.png, beside.wav" in capsys.readouterr().err
+    assert "Beside" not in baked(out, report)
+    for name in report["left_over"]:
+        (out / name).unlink()
+    assert touch(scene, out)[1]["left_over"] == []
+
+
+def test_a_stroke_that_is_back_owns_its_files_again(scene, tmp_path) -> None:
+    out, whole = tmp_path / "out", scene.read_bytes()
+    touch(scene, out)
+    changed(scene, lambda: bpy.data.objects.remove(bpy.data.objects["Beside"]))
+    assert touch(scene, out)[1]["left_over"] == ["beside.png", "beside.wav"]
+    scene.write_bytes(whole)
+    _, report = touch(scene, out)
+    assert report["left_over"] == []
+    assert {stroke["wav"] for stroke in report["strokes"]} == {"along.wav", "beside.wav"}
+
+
+def test_equal_strokes_keep_a_file_each(scene, tmp_path) -> None:
+    out = tmp_path / "out"
+
+    def change() -> None:
+        twin = bpy.data.objects["Along"].copy()
+        twin.name = "Twin"
+        bpy.context.scene.collection.objects.link(twin)
+
+    changed(scene, change)
+    _, first = touch(scene, out)
+    _, second = touch(scene, out)
+    assert second["counts"] == NOTHING
+    assert second["left_over"] == []
+    assert [stroke["wav"] for stroke in second["strokes"]] == [stroke["wav"] for stroke in first["strokes"]]
+
+
+def test_a_probe_between_two_runs_costs_the_second_one_nothing(scene, tmp_path) -> None:
+    out = tmp_path / "out"
+    touch(scene, out)
+    touch(scene, out, "--probe", f"{PLATE}:0.001,0.001")
+    assert touch(scene, out)[1]["counts"] == NOTHING
+
+
+def test_the_plan_counts_the_pictures_that_may_be_made_anew(scene, tmp_path, capsys) -> None:
+    out = tmp_path / "out"
+    touch(scene, out)
+
+    def planned() -> dict:
+        capsys.readouterr()
+        assert main(["touch", str(scene), "--out", str(out), "--plan", "--json"]) == 0
+        return json.loads(capsys.readouterr().out)
+
+    assert (planned()["estimate"]["renders_at_most"], planned()["pictures"]) == (0, 0)
+    changed(scene, move("Camera"))
+    assert (planned()["estimate"]["renders_at_most"], planned()["pictures"]) == (2, 2)
+    assert main(["touch", str(scene), "--out", str(out), "--plan"]) == 0
+    assert "at most 2 pictures" in capsys.readouterr().out
+
+
+def test_the_scenes_own_camera_shows_the_longer_stroke() -> None:
+    """What the others stand on: at the size that touch() renders."""
+    assert 0.008 / 0.108 < LEAST_SHARE < 0.02 / 0.108  # a 36 mm sensor and a 50 mm lens, 0.15 m away
