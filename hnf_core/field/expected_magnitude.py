@@ -23,6 +23,8 @@ LINE_HZ = 2.0 * BIN_HZ
 """Lines at 15, 35, 55 … Hz lie midway between bins: each is the strongest in the two bins beside it, and the next ones
 are down by 14 dB there, so a window hardly shows where it starts."""
 LINES = BINS // 2
+_EVERY = 4
+"""States from one that is asked to the next, 20 ms."""
 _CELL_HZ = 1.0
 _REACH_HZ = 4.0 * BIN_HZ
 """Beyond four bins a Hann window passes less than 1e-5 of a band's power."""
@@ -52,11 +54,12 @@ def window_densities(carriers: Carriers, power: Float, speed: Float) -> Float:
     return np.asarray(cells @ _kernel())
 
 
-def expected_magnitude_signal(density: ArrayLike, count: int) -> Float:
+def expected_magnitude_signal(density: ArrayLike, count: int, lasting: float | None = None) -> Float:
     """(count,) m/s² at 10 kHz: lines at 15, 35 … 995 Hz with phases 2π n² / n_tot, so loud that |X_k| of a Hann window
     of 1000 samples is sqrt(π S_k) / 2, what a Gaussian texture of density S is expected to show, wherever it starts.
 
-    density: (n, 100) as from expected_densities, evenly spread over the signal, read linearly between.
+    density: (n, 100) as from expected_densities, at even steps, read linearly between and held beyond the last.
+    lasting: steps that the signal lasts, n − 1 where nothing is said.
     """
     states = np.asarray(density, dtype=np.float64)
     window = hann(WINDOW)
@@ -64,7 +67,8 @@ def expected_magnitude_signal(density: ArrayLike, count: int) -> Float:
     magnitude = 0.5 * np.sqrt(np.pi * squared)
     at_half_a_bin = 0.5 * float(window.sum()) * float(np.sinc(0.5)) / 0.75
     level = magnitude.reshape(len(states), LINES, 2).mean(axis=2) / at_half_a_bin
-    place = np.linspace(0.0, len(states) - 1.0, count)
+    end = len(states) - 1.0
+    place = np.minimum(np.linspace(0.0, end if lasting is None else lasting, count), end)
     low = np.minimum(place.astype(np.intp), max(len(states) - 2, 0))
     high, share = np.minimum(low + 1, len(states) - 1), place - low
     time, out = np.arange(count) / MODEL_RATE_HZ, np.zeros(count)
@@ -76,7 +80,9 @@ def expected_magnitude_signal(density: ArrayLike, count: int) -> Float:
 
 def synthesise_expected_magnitude(field: Field, stroke: StrokeInput) -> Float:
     """The stroke's texture in expected-magnitude form, (count,) m/s² at 10 kHz; there is no seed to it."""
-    return expected_magnitude_signal(expected_densities(field, stroke, 4), sample_count(states_of(stroke)[0]))
+    action, _ = states_of(stroke)
+    lasting = (len(action.speed) - 1) / _EVERY
+    return expected_magnitude_signal(expected_densities(field, stroke, _EVERY), sample_count(action), lasting)
 
 
 def _cell_edges() -> Float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -72,6 +74,20 @@ def test_it_grows_with_the_root_of_the_density_and_does_not_need_a_seed(stroke: 
     np.testing.assert_allclose(expected_magnitude_signal(4.0 * density, 20_000), 2.0 * once, rtol=1e-12)
     np.testing.assert_array_equal(once, synthesise_expected_magnitude(load_field(), stroke))
     assert np.all(expected_magnitude_signal(np.zeros((3, 100)), 500) == 0.0)
+
+
+@pytest.mark.parametrize("left", [0, 1, 2, 3])
+def test_a_density_is_heard_when_its_state_is(left: int) -> None:
+    """However many states follow the last one that is asked: they do not stretch those before over the signal."""
+    material = find("pine-wood")
+    whole = wandering_action(SECONDS, 5, speed_m_s=(0.06, 0.2), force_n=(0.5, 2.0))
+    states = len(whole.speed) // 4 * 4 - 3 + left
+    names = ("direction", "speed", "force", "position", "contact")
+    action = replace(whole, **{name: getattr(whole, name)[:states] for name in names})
+    cut = synthesise_expected_magnitude(load_field(), uniform_stroke(action, material.token, material.mechanics))
+    ours = synthesise_expected_magnitude(load_field(), uniform_stroke(whole, material.token, material.mechanics))
+    same = (states - 1) // 4 * 4 * 50
+    np.testing.assert_allclose(cut[:same], ours[:same], atol=1e-3 * np.std(ours))
 
 
 def test_a_flat_density_shows_its_expected_magnitude_in_every_bin() -> None:
