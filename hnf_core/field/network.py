@@ -6,7 +6,6 @@ number alone, each on one thread of BLAS, as many at once as there are cores whe
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..blas import one_blas_thread
+from ..kernel.halves import cores
 
 Float32 = NDArray[np.float32]
 
@@ -29,7 +29,7 @@ def heads(parameters: Mapping[str, Float32], layers: int, x: Float32) -> tuple[F
     multiplications = len(x) * sum(value.size for value in parameters.values() if value.ndim == 2)
     with one_blas_thread():
         if len(portions) > 1 and multiplications > WORTH_THREADS:
-            with ThreadPoolExecutor(min(len(portions), os.cpu_count() or 1)) as pool:
+            with ThreadPoolExecutor(min(len(portions), cores())) as pool:
                 found = list(pool.map(lambda portion: _through(parameters, layers, portion), portions))
         else:
             found = [_through(parameters, layers, portion) for portion in portions]

@@ -22,9 +22,11 @@ def render_weights(sigma_dt: ArrayLike) -> NDArray[Any]:
 
     sigma_dt: (..., N) densities times step, each in [0, ∞]; the nearest state first. Returns the same shape and float
     dtype; each weight is in [0, 1], their sum is 1 − exp(−Σ σΔt). float16 is accumulated in float32, float32 and
-    float64 in float64; integers become float64. Errors: docs/numerics.md.
+    float64 in float64; integers become float64. Errors: docs/numerics.md. Raises ValueError where there is no axis.
     """
     density = np.asarray(sigma_dt)
+    if density.ndim == 0:
+        raise ValueError("a single density has no states: give an array (..., N)")
     if density.dtype.kind != "f":
         density = density.astype(np.float64)
     return _weights(density.astype(_wide(density.dtype))).astype(density.dtype, copy=False)

@@ -37,12 +37,13 @@ def estimate(library: Sequence[LibraryMaterial], weights: Mapping[str, float], f
     """A mechanical property (a field of Mechanics) over the likely materials.
 
     weights: name → probability; need not sum to 1. within: standard deviation of the natural logarithm between pieces
-    of one material. Materials that do not know the property do not count. Raises MaterialError where none is left.
+    of one material. Materials that do not know the property, or have none of it, do not count: it has no logarithm.
+    Raises MaterialError where none is left.
     """
     values, shares = [], []
     for material in library:
         value, share = getattr(material.mechanics, field), weights.get(material.name, 0.0)
-        if value is not None and share > 0.0:
+        if value is not None and value > 0.0 and share > 0.0:
             values.append(float(np.log(value)))
             shares.append(share)
     if not values:

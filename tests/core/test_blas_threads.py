@@ -98,7 +98,7 @@ def test_states_through_a_pool_have_the_bytes_of_portions_one_after_the_other(mo
         return through(*given)
 
     monkeypatch.setattr(network, "WORTH_THREADS", 0)
-    monkeypatch.setattr(network.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(network, "cores", lambda: 2)
     with monkeypatch.context() as patch:
         patch.setattr(network, "_through", noted)
         pooled = network.heads(parameters, config.layers, x)

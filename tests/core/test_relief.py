@@ -166,6 +166,14 @@ def test_an_estimate_lies_among_the_materials_and_spreads_no_further(shares) -> 
     assert (thrice.value, thrice.factor) == pytest.approx((told.value, told.factor))
 
 
+def test_a_material_without_friction_does_not_make_the_others_infinitely_unlike() -> None:
+    smooth = dataclasses.replace(LIBRARY[0], mechanics=dataclasses.replace(LIBRARY[0].mechanics, friction=0.0))
+    weights = {smooth.name: 0.5, LIBRARY[1].name: 0.5}
+    assert estimate([smooth, LIBRARY[1]], weights, "friction", 0.1) == estimate([LIBRARY[1]], weights, "friction", 0.1)
+    with pytest.raises(MaterialError):
+        estimate([smooth], weights, "friction", 0.1)
+
+
 def test_an_estimate_of_nothing_is_refused() -> None:
     blank = dataclasses.replace(LIBRARY[0], mechanics=UNKNOWN)
     with pytest.raises(MaterialError):

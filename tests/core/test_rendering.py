@@ -34,6 +34,11 @@ def test_small_densities_keep_their_digits(density, states):
     np.testing.assert_allclose(weights, density, rtol=1e-7)
 
 
+def test_a_density_without_states_is_refused_in_words():
+    with pytest.raises(ValueError, match="no states"):
+        render_weights(0.5)
+
+
 def test_infinite_density_hides_everything_behind_it():
     np.testing.assert_array_equal(render_weights([0.0, np.inf, 3.0]), [0.0, 1.0, 0.0])
 
