@@ -125,7 +125,12 @@ def _options(obj: Any, context: Any, form: Format) -> ExportOptions:
     if form.surface:
         depsgraph = context.evaluated_depsgraph_get()
         surface = touched_surface(context.scene, depsgraph, metres_per_unit(context.scene), stroke=obj)
-    return ExportOptions(profile.limits.full_scale_m_s2, profile.range_hz or RANGE_HZ, surface=surface)
+    return ExportOptions(
+        profile.limits.full_scale_m_s2,
+        profile.range_hz or RANGE_HZ,
+        surface=surface,
+        full_scale_assumed=form.scaled and profile.assumes_full_scale,
+    )
 
 
 def add_strip(obj: Any, context: Any) -> Any:

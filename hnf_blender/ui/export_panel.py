@@ -8,7 +8,7 @@ import bpy
 
 from ..preview.facts import PREVIEW
 from ..props.export_formats import CHOICE_OF
-from ..props.scene import active_stroke, actuator_of, listed_strokes
+from ..props.scene import active_stroke, actuator_shown, listed_strokes
 from ..translations import tr
 from .layout import TouchPanel, hint, paragraph, side_by_side
 
@@ -28,8 +28,11 @@ class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa:
         layout.prop(scene.hnf, "export_format", text="")
         choice = CHOICE_OF.get(scene.hnf.export_format)
         if choice is not None and choice.scaled:
-            said = tr("1 means {peak:g} m/s² ({actuator}, chosen under Actuator)")
-            profile = actuator_of(scene)
+            profile = actuator_shown(scene)
+            if profile.assumes_full_scale:
+                said = tr("1 means {peak:g} m/s², an assumption: {actuator} does not state its largest acceleration")
+            else:
+                said = tr("1 means {peak:g} m/s² ({actuator}, chosen under Actuator)")
             text = said.format(peak=profile.limits.full_scale_m_s2, actuator=tr(profile.title))
             paragraph(layout, context, text, icon="BLANK1")
         layout.prop(scene.hnf, "export_folder", text="")

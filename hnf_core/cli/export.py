@@ -103,13 +103,15 @@ def run(arguments: argparse.Namespace, read_scene: SceneReader = no_scene) -> in
             f"the format '{form.word}' finds its full scale in the signal: --full-scale and --profile have no place.",
             remedy="Leave them out, or take --format wav48k.",
         )
-    options = ExportOptions(FULL_SCALE_M_S2 if full_scale is None else full_scale, range_hz or RANGE_HZ)
+    assumed = form.scaled and full_scale is None
+    options = ExportOptions(
+        FULL_SCALE_M_S2 if full_scale is None else full_scale, range_hz or RANGE_HZ, full_scale_assumed=assumed
+    )
     signal = read_own_wav(arguments.file)
     if arguments.scene is not None:
         surface = read_scene(arguments.scene, signal.provenance, arguments.object)
         options = replace(options, surface=surface)
     exported = export_signal(signal, form, arguments.out, options)
-    assumed = form.scaled and full_scale is None
     record = exported.to_json() | {"full_scale_assumed": assumed}
     print(json.dumps(record, indent=1) if arguments.json else exported.report())
     if exported.clipped:

@@ -23,12 +23,14 @@ class ExportOptions:
     clipped and counted, and nothing is ever normalised. range_hz: what a frequency of 0 and of 1 stand for. error: of
     envelopes, the largest distance between the control points' lines and the envelope, as a share of its peak.
     surface: what the stroke was drawn on, for formats that bind touch to geometry; None where it is not known.
+    full_scale_assumed: nobody stated or measured full_scale_m_s2; the sidecar says so.
     """
 
     full_scale_m_s2: float = FULL_SCALE_M_S2
     range_hz: tuple[float, float] = RANGE_HZ
     error: float = ENVELOPE_ERROR
     surface: TouchedSurface | None = None
+    full_scale_assumed: bool = False
 
     def __post_init__(self) -> None:
         _check(self.full_scale_m_s2, self.range_hz)

@@ -22,6 +22,8 @@ def origin_record(signal: Signal, options: ExportOptions | None) -> dict[str, An
     scale: dict[str, Any] = {"scale": 1.0}
     if options is not None:
         scale = {"full_scale": options.full_scale_m_s2, "range_hz": list(options.range_hz)}
+        if options.full_scale_assumed:
+            scale["full_scale_assumed"] = True
     return {
         "schema": _SCHEMA,
         "units": UNITS,

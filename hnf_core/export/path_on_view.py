@@ -8,11 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from .force_colour import force_colour
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FORCE_MAP = "plasma"
+TICKS_N = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+"""Under the colour bar, which is the same in every picture; the last is its end."""
+FINE_N = 0.25
+"""Above this the bar runs by the force's logarithm, below it nearly evenly: most strokes are of 0.3 to 3 N."""
 
 
 @dataclass(frozen=True)
@@ -30,25 +35,23 @@ class StrokeView:
 
 
 def draw_path(figure: Figure, axes: Axes, view: StrokeView, bar: tuple[float, float, float, float]) -> None:
-    """Path, start, direction and, at bar (figure fractions: left, bottom, width, height), the colour bar in N.
+    """Path in force_colour, start, direction and, at bar (figure fractions: left, bottom, width, height), the colour
+    bar in N.
 
     A cased line stays readable over any picture; where the hand is hidden it is thin and dashed.
     """
-    from matplotlib.cm import ScalarMappable
     from matplotlib.collections import LineCollection
-    from matplotlib.colors import Normalize
     from matplotlib.lines import Line2D
 
     path, force = np.asarray(view.path, dtype=np.float64), np.asarray(view.force, dtype=np.float64)
     seen = np.ones(len(path), bool) if view.visible is None else np.asarray(view.visible, bool)
-    norm = Normalize(0.0, max(float(np.max(force, initial=0.0)), 1e-3))
     clear = seen[:-1] & seen[1:]
     pieces = np.stack([path[:-1], path[1:]], axis=1)[clear] if len(path) > 1 else np.zeros((0, 2, 2))
     shade = (0.5 * (force[:-1] + force[1:]))[clear]
     for width, colour, alpha in ((9.0, "white", 0.9), (6.6, "#10141a", 1.0)):
         casing = LineCollection(list(pieces), colors=colour, linewidths=width, capstyle="round", alpha=alpha)
         axes.add_collection(casing)
-    line = LineCollection(list(pieces), array=shade, norm=norm, cmap=FORCE_MAP, linewidths=4.6, capstyle="round")
+    line = LineCollection(list(pieces), colors=_colours(shade), linewidths=4.6, capstyle="round")
     axes.add_collection(line)
     for run in _runs(~clear):
         x, y = path[run.start : run.stop + 1].T
@@ -57,9 +60,7 @@ def draw_path(figure: Figure, axes: Axes, view: StrokeView, bar: tuple[float, fl
     _draw_arrow(axes, path)
     if len(path):
         axes.plot(path[:1, 0], path[:1, 1], "o", ms=13, mfc="white", mec="#10141a", mew=2.2, zorder=5)
-    scale = figure.colorbar(ScalarMappable(norm, FORCE_MAP), cax=figure.add_axes(bar), orientation="horizontal")
-    scale.outline.set_visible(False)
-    scale.set_label("normal force [N]")
+    _draw_bar(figure.add_axes(bar))
     marks = [
         Line2D([], [], marker="o", ms=9, mfc="white", mec="#10141a", mew=1.8, ls="", label="start"),
         Line2D([], [], marker=">", ms=9, mfc="white", mec="#10141a", mew=1.8, ls="", label="direction"),
@@ -67,6 +68,25 @@ def draw_path(figure: Figure, axes: Axes, view: StrokeView, bar: tuple[float, fl
     if not seen.all():
         marks.append(Line2D([], [], color="#10141a", lw=2.5, ls=(0, (1.6, 1.6)), label="hidden from this view"))
     axes.legend(handles=marks, loc="upper right", ncols=len(marks), framealpha=0.85, edgecolor="none", fontsize=9.5)
+
+
+def _draw_bar(axes: Axes) -> None:
+    along = _along_bar(np.array(TICKS_N))
+    force = FINE_N * (2.0 ** np.linspace(0.0, along[-1], 512) - 1.0)
+    axes.imshow(_colours(force)[None], extent=(0.0, along[-1], 0.0, 1.0), aspect="auto", interpolation="nearest")
+    axes.set_yticks([])
+    axes.set_xticks(along.tolist(), labels=[f"{newtons:g}" for newtons in TICKS_N])
+    axes.grid(False)
+    axes.spines[:].set_visible(False)
+    axes.set_xlabel("normal force [N]")
+
+
+def _along_bar(force: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.log2(1.0 + force / FINE_N)
+
+
+def _colours(force: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.array([force_colour(float(each)) for each in force]).reshape(-1, 4)
 
 
 def _draw_arrow(axes: Axes, path: NDArray[np.float64]) -> None:

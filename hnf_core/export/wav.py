@@ -31,6 +31,8 @@ UNITS = "m/s^2"
 SCHEMA = 1
 _PCM, _IEEE_FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
 _LARGEST = 2**32 - 1
+_UNTOLD = _LARGEST
+"""Size of a chunk by who could not know it when it began."""
 
 
 def write_wav(path: Path, signal: Signal) -> None:
@@ -190,13 +192,15 @@ def _chunk(tag: bytes, body: bytes) -> bytes:
 
 
 def _chunks(data: bytes, where: str) -> Iterator[tuple[bytes, bytes]]:
-    """Tag and body of each chunk. Fewer than 8 trailing bytes are ignored, as most readers do."""
+    """Tag and body of each chunk. Fewer than 8 trailing bytes are ignored, as most readers do. Samples of a size that
+    was never filled in, as by what writes into a pipe, go on to the end."""
     at = 0
     while at + 8 <= len(data):
         tag, size = data[at : at + 4], struct.unpack_from("<I", data, at + 4)[0]
         body = data[at + 8 : at + 8 + size]
-        if len(body) < size:
-            raise _damaged(Path(where), f"chunk {tag!r} should hold {size} bytes and {len(body)} are there")
+        if len(body) < size and not (tag == b"data" and size == _UNTOLD):
+            name = tag.decode("latin-1").strip()
+            raise _damaged(Path(where), f"chunk '{name}' should hold {size} bytes and {len(body)} are there")
         yield tag, body
         at += 8 + size + size % 2
 

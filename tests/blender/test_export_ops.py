@@ -182,11 +182,15 @@ def test_the_panel_says_full_scale_and_what_was_lost(folder) -> None:
     settings.export_format, settings.actuator, settings.own_peak_m_s2 = "ahap", "own", 12.5
     scaled = drawn(HNF_PT_export)
     assert scaled is not None
-    assert "1 is 12.5 m/s²" in scaled.words
+    assert "1 means 12.5 m/s² (My actuator" in " ".join(scaled.words.split())
+    settings.actuator = "eai-c-mf"
+    unstated = drawn(HNF_PT_export)
+    assert unstated is not None
+    assert "1 means 30 m/s², an assumption" in " ".join(unstated.words.split())
     settings.export_format = "wav"
     assert bpy.ops.hnf.export() == {"FINISHED"}
     told = drawn(HNF_PT_export)
     assert told is not None
-    assert "1 is" not in told.words
+    assert "1 means" not in told.words
     assert "along.wav: nothing is lost" in told.words
     assert "hnf.export_copy" in told.operators

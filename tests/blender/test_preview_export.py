@@ -81,7 +81,7 @@ def test_a_speaker_that_sounds_as_the_stroke_did_before_is_told(warm_bake) -> No
 
     assert told() == []
     set_keys(stroke, "force", (3.0, 2.7))
-    assert [line.partition(" sounds")[0] for line in told()] == ["'Along speaker'"]
+    assert [line.partition(" still plays")[0] for line in told()] == ["'Along speaker'"]
     bpy.context.view_layer.objects.active = stroke
     assert bpy.ops.hnf.add_speaker() == {"FINISHED"}
     assert PREVIEW.behind["Along"] == told() == []

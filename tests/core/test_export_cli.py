@@ -97,6 +97,8 @@ def test_a_profile_gives_full_scale_and_range(tmp_path: Path, wav: Path, capsys:
     words = ("export", wav, "--format", "haptic", "--out", tmp_path / "x.haptic", "--json")
     assert hnf(*words, "--profile", "eai-c-mf") == 0
     assert json.loads(capsys.readouterr().out)["range_hz"] == [180.0, 280.0]
+    sidecar = tmp_path / "x.haptic.json"
+    assert json.loads(sidecar.read_text("utf-8"))["full_scale_assumed"] is True
     assert hnf(*words, "--profile", "eai-c-mf", "--range", 100, 300) == 0
     assert json.loads(capsys.readouterr().out)["range_hz"] == [100.0, 300.0]
     own = tmp_path / "own.json"
@@ -105,6 +107,7 @@ def test_a_profile_gives_full_scale_and_range(tmp_path: Path, wav: Path, capsys:
     assert hnf(*words, "--profile", own) == 0
     record = json.loads(capsys.readouterr().out)
     assert (record["full_scale_m_s2"], record["range_hz"]) == (12.0, [40.0, 400.0])
+    assert "full_scale_assumed" not in json.loads(sidecar.read_text("utf-8"))
 
 
 def test_the_earlier_file_survives_what_fails(tmp_path: Path, wav: Path, capsys: pytest.CaptureFixture[str]) -> None:

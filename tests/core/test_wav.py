@@ -122,6 +122,20 @@ def test_reads_24_bit_and_extensible(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_wav(path).samples, np.float32(np.array(values) / 2**23))
 
 
+@pytest.mark.parametrize("missing", [0, 1, 4])
+def test_what_was_written_into_a_pipe_is_read_to_its_end(tmp_path: Path, missing: int) -> None:
+    """Who could not go back to fill in the size leaves the largest there is."""
+    values = [0, 1000, -1000, 32767]
+    data = struct.pack("<4h", *values)
+    whole = plain(struct.pack("<HHIIHH", 1, 1, 8000, 16000, 2, 16), data)
+    at = whole.index(b"data") + 4
+    untold = whole[:at] + b"\xff\xff\xff\xff" + whole[at + 4 :]
+    path = tmp_path / "a.wav"
+    path.write_bytes(untold[: len(untold) - 2 * missing])
+    expected = np.float32(np.array(values[: 4 - missing]) / 2**15)
+    np.testing.assert_array_equal(read_wav(path).samples, expected)
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_non_finite_samples_are_refused_and_the_old_file_stays(tmp_path: Path, bad: float) -> None:
     path = tmp_path / "a.wav"
