@@ -8,6 +8,7 @@ from typing import Any
 
 from hnf_core.files import content_hash
 
+from .. import compat
 from .images import image_hash
 
 COSMETIC = frozenset({
@@ -57,7 +58,7 @@ def material_hash(material: Any, frame: int = 1) -> str:
     """
     if material is None:
         return ""
-    if material.node_tree is None or not material.use_nodes:
+    if not compat.use_nodes(material):
         plain = (material.diffuse_color, material.roughness, material.metallic)
         return content_hash("plain", repr([list(plain[0]), plain[1], plain[2]]))
     method = getattr(material, "displacement_method", "")

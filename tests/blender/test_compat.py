@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import warnings
+from pathlib import Path
 
 import bpy
 import pytest
@@ -40,6 +42,16 @@ def test_nodes_can_be_switched_on(kind):
     compat.switch_nodes_on(block)
     assert compat.use_nodes(block)
     assert len(block.node_tree.nodes) > 0
+
+
+def test_nobody_else_asks_whether_a_material_has_nodes():
+    """use_nodes is always on from 5.0, and asking for it is deprecated."""
+    asking = [
+        path.name
+        for path in Path(compat.__file__).parent.rglob("*.py")
+        if path.name != "compat.py" and re.search(r"material\.use_nodes", path.read_text(encoding="utf-8"))
+    ]
+    assert asking == []
 
 
 def test_the_export_folder_may_stand_beside_the_file_without_a_warning():
