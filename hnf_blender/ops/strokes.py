@@ -212,7 +212,7 @@ class OfStroke:
         named = stroke_named(context.scene, self.name) if self.name else None  # type: ignore[attr-defined]
         stroke = active_stroke(context) if named is None else named
         if stroke is None:
-            self.report({"ERROR"}, NOT_SELECTED)  # type: ignore[attr-defined]
+            self.report({"ERROR"}, tr(NOT_SELECTED))  # type: ignore[attr-defined]
             return {"CANCELLED"}
         try:
             self.report({"INFO"}, self.work(context, stroke))  # type: ignore[attr-defined]

@@ -6,7 +6,7 @@ import string
 
 import bpy
 import pytest
-from ui_strings import strings_of_classes, strings_of_sources
+from ui_strings import strings_of_classes, strings_of_sources, untranslated_reports
 
 import hnf_blender
 from hnf_blender import translations
@@ -37,6 +37,10 @@ def test_every_text_has_a_german_one(switched_on: None) -> None:
     assert len(wanted) > 200
     assert [text for text in wanted if "--" in text or "hnf stream" in text] == []  # said at a command line alone
     assert sorted(wanted - set(GERMAN)) == []
+
+
+def test_what_is_reported_is_translated() -> None:
+    assert untranslated_reports() == set()
 
 
 def test_placeholders_stay() -> None:

@@ -54,6 +54,18 @@ def strings_of_sources() -> set[str]:
     return {text for text in found if any(letter.isalpha() for letter in text)}
 
 
+def untranslated_reports() -> set[str]:
+    """Literals and constants that operators report as they are: in English, whatever the interface speaks."""
+    found: set[str] = set()
+    for path in sorted(ADDON.rglob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        named = dict(_constants(tree))
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "report" and len(node.args) == 2:
+                found |= _literals(named.get(getattr(node.args[1], "id", ""), node.args[1]))
+    return found
+
+
 def _constants(tree: ast.Module) -> Iterator[tuple[str, ast.expr]]:
     """Names of the module's constants, and what they are."""
     for node in tree.body:
