@@ -23,8 +23,8 @@ Blender draws, nothing is collected."""
 
 
 class Looked:
-    """What is known of one scene that a window shows. seen: of which signals follow; drawn: what the panel shows of the
-    active stroke, busy_since when. waiting: names of strokes to be looked at yet."""
+    """What is known of one scene that a window shows. seen: of which signals follow; drawn: what the panels show of the
+    active stroke and the actuator, busy_since when. waiting: names of strokes to be looked at yet."""
 
     def __init__(self) -> None:
         self.seen: object = None
@@ -163,7 +163,7 @@ def _look(context: Any, heard: set[str], ended: bool, *, is_first: bool) -> None
     shown = active.name if active is not None else ""
     for name in heard | {shown} - {""}:
         current.tell(name, scene)
-    drawn = shown, _worth_drawing(PREVIEW.facts.get(shown), looked)
+    drawn = shown, _worth_drawing(PREVIEW.facts.get(shown), looked), actuator_of(scene)
     if heard or ended or drawn != looked.drawn:
         looked.drawn = drawn
         redraw_tab()

@@ -16,13 +16,22 @@ from ..translations import tr
 FILE = "file"
 """Of Scene.hnf.actuator: the profile is in Scene.hnf.actuator_file."""
 LOOK_S = 2.0
-"""Panels ask many times a second; the disk is asked this often whether the file has changed."""
+"""Timers ask many times a second; the disk is asked this often whether the file has changed."""
+
+_seen: dict[str, ActuatorProfile] = {}
+"""By path."""
 
 
 def profile_in_file(path: str) -> ActuatorProfile:
     """Its name is the path: by that it is read again, with its response, where it is played. Where it cannot be read
     nothing is known of it, and source says why; playing on it is refused."""
-    return _read(path, _changed(path, int(time.monotonic() / LOOK_S)))
+    _seen[path] = _read(path, _changed(path, int(time.monotonic() / LOOK_S)))
+    return _seen[path]
+
+
+def profile_as_seen(path: str) -> ActuatorProfile:
+    """For panels, which ask no disk: as profile_in_file() found it last. A timer asks for what windows show."""
+    return _seen.get(path) or ActuatorProfile(path, _title(path), tr("Not read yet"))
 
 
 @lru_cache(maxsize=4)
@@ -42,4 +51,8 @@ def _read(path: str, _changed: int) -> ActuatorProfile:
             raise FileError("no profile is chosen.", remedy="Choose the .json file that measuring your actuator gave.")
         return replace(read_profile(Path(path)), name=path, response=None)
     except HnfError as error:
-        return ActuatorProfile(path, Path(path).name or tr("Measured actuator"), str(error))
+        return ActuatorProfile(path, _title(path), str(error))
+
+
+def _title(path: str) -> str:
+    return Path(path).name or tr("Measured actuator")

@@ -2,6 +2,7 @@
 
 # No `from __future__ import annotations`: Blender reads these annotations as values.
 
+from collections.abc import Callable
 from typing import Any
 
 import bpy
@@ -12,7 +13,7 @@ from ..compat import beside_the_file
 from .export_formats import FORMAT_ITEMS
 from .listed import A_REDRAW_S, STROKES, object_at
 from .overriding import OVERRIDABLE, give, take_back
-from .profile_file import FILE, profile_in_file
+from .profile_file import FILE, profile_as_seen, profile_in_file
 from .stroke import FORCE_MAX_N
 
 
@@ -132,14 +133,19 @@ def unregister() -> None:
     take_back(bpy.types.Scene, "hnf", HnfScene)
 
 
-def actuator_of(scene: Any) -> ActuatorProfile:
-    """The scene's actuator; the generic one where its name is not known."""
+def actuator_of(scene: Any, in_file: Callable[[str], ActuatorProfile] = profile_in_file) -> ActuatorProfile:
+    """The scene's actuator; the generic one where its name is not known. in_file: how a file's profile is found."""
     settings = scene.hnf
     if settings.actuator == OWN:
         return own_profile(settings.own_peak_m_s2, settings.own_lowest_hz, settings.own_highest_hz)
     if settings.actuator == FILE:
-        return profile_in_file(bpy.path.abspath(settings.actuator_file))
+        return in_file(bpy.path.abspath(settings.actuator_file))
     return PROFILES.get(settings.actuator, GENERIC)
+
+
+def actuator_shown(scene: Any) -> ActuatorProfile:
+    """actuator_of() for panels: a file's profile as it was last read."""
+    return actuator_of(scene, profile_as_seen)
 
 
 def strokes_of(scene: Any) -> list[Any]:

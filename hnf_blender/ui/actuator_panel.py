@@ -11,7 +11,7 @@ from hnf_core.actuators.profile import OWN, ActuatorProfile
 from ..actuator.choice import chosen_output, outputs, plays_whole, title_of
 from ..actuator.state import ACTUATOR, SPEAKERS, ActuatorFacts, Phase
 from ..props.profile_file import FILE
-from ..props.scene import actuator_of
+from ..props.scene import actuator_shown
 from ..translations import tr
 from .layout import TouchPanel, hint, named, paragraph, side_by_side
 
@@ -51,7 +51,7 @@ class HNF_PT_actuator(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noq
         else:
             if settings.actuator == FILE:
                 layout.prop(settings, "actuator_file", text="")
-            profile = actuator_of(context.scene)
+            profile = actuator_shown(context.scene)
             column = layout.column(align=True)
             for line in profile_lines(profile):
                 paragraph(column, context, line, icon="DOT")
