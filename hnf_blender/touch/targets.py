@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-import difflib
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from hnf_core.closest import closest, listed
 from hnf_core.errors import SceneError
 
 from ..bridge.scene_names import named_objects
+from ..bridge.splat_cloud import is_cloud
+
+MOST = 12
+"""Names in a message: more would not be read."""
 
 
 @dataclass(frozen=True)
@@ -21,15 +26,17 @@ class Target:
 
 
 def resolve_target(scene: Any, text: str) -> Target:
-    """Object names may hold colons: the longest name that exists wins.
+    """Object names may hold colons: the longest name that exists wins. Case counts only where it tells two names apart.
 
     Raises SceneError naming what is there instead.
     """
     meshes = {name: obj for name, obj in named_objects(scene).items() if obj.type == "MESH"}
-    if text in meshes:
-        return Target(text, None)
-    name, colon, slot_text = text.rpartition(":")
-    if colon and name in meshes:
+    whole = _called(text, meshes)
+    if whole is not None:
+        return Target(whole, None)
+    before, colon, slot_text = text.rpartition(":")
+    name = _called(before, meshes) if colon else None
+    if name is not None:
         return Target(name, _slot_index(meshes[name], slot_text))
     other = scene.objects.get(text)
     if other is not None:
@@ -38,22 +45,38 @@ def resolve_target(scene: Any, text: str) -> Target:
             where=f"object '{text}'",
             remedy="Name a mesh object, or convert this one to a mesh (Object > Convert > Mesh).",
         )
-    raise SceneError("there is no such object in the scene.", where=f"object '{text}'", remedy=_offer(text, meshes))
+    asked = before if colon else text
+    raise SceneError("there is no such object in the scene.", where=f"object '{asked}'", remedy=_offer(asked, meshes))
+
+
+def _called(text: str, names: Iterable[str]) -> str | None:
+    """The name that text stands for: itself, or the only one that differs from it in case alone; None where none is."""
+    known = list(names)
+    if text in known:
+        return text
+    same = [name for name in known if name.casefold() == text.casefold()]
+    return same[0] if len(same) == 1 else None
 
 
 def _slot_index(obj: Any, text: str) -> int:
     names = [slot.material.name if slot.material else "" for slot in obj.material_slots]
-    if text in names:
-        return names.index(text)
+    name = _called(text, names) if text else None
+    if name is not None:
+        return names.index(name)
     if text.isdecimal() and int(text) < max(1, len(names)):
         return int(text)
-    listed = ", ".join(f"{index} {name or '(empty)'}" for index, name in enumerate(names)) or "none"
-    raise SceneError(f"it has no material slot '{text}'.", where=f"object '{obj.name}'", remedy=f"Its slots: {listed}.")
+    slots = [f"{index} {name or '(empty)'}" for index, name in enumerate(names[:MOST])]
+    more = f" and {len(names) - MOST} more" if len(names) > MOST else ""
+    raise SceneError(
+        f"it has no material slot '{text}'.",
+        where=f"object '{obj.name}'",
+        remedy=f"Its slots: {', '.join(slots) or 'none'}{more}.",
+    )
 
 
-def _offer(text: str, names: Any) -> str:
-    close = difflib.get_close_matches(text, list(names), n=3, cutoff=0.4)
-    if close:
-        return "Did you mean " + " or ".join(f"'{name}'" for name in close) + "?"
-    listed = ", ".join(f"'{name}'" for name in sorted(names)[:8])
-    return f"Mesh objects here: {listed}." if listed else "The scene holds no mesh object."
+def _offer(text: str, meshes: Mapping[str, Any]) -> str:
+    """The objects that could be meant: those with faces, those that are called like it first."""
+    touchable = sorted(name for name, obj in meshes.items() if len(obj.data.polygons) and not is_cloud(obj))
+    near = closest(text, touchable)
+    guess = f"Did you mean {' or '.join(repr(name) for name in near)}? " if near else ""
+    return f"{guess}Objects here: {listed(touchable, MOST)}." if touchable else "The scene holds no mesh with faces."

@@ -76,9 +76,9 @@ def _work(report: Report) -> str:
 
 def _next_steps(report: Report, strokes: list[StrokeReport], folder: Path) -> Iterator[tuple[str, str]]:
     if strokes:
-        first = strokes[0]
-        wav, ears = folder / first.wav, folder / f"{Path(first.wav).stem}-listen.wav"
-        yield "Look at", str(folder / first.picture)
+        loudest = max(strokes, key=lambda stroke: stroke.rms_m_s2)
+        wav, ears = folder / loudest.wav, folder / f"{Path(loudest.wav).stem}-listen.wav"
+        yield "Look at", str(folder / loudest.picture)
         yield "Listen", shlex.join([*program(), "export", str(wav), "--format", "listen", "--out", str(ears)])
         if report.baked_blend:
             yield "Open", f"{folder / report.baked_blend} in Blender: the strokes are curves that you can edit"

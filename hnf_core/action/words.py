@@ -12,11 +12,11 @@ What is left out: left to right, 1 N, 100 mm/s. What is not understood, or says 
 
 from __future__ import annotations
 
-import difflib
 import re
 
 import numpy as np
 
+from ..closest import closest
 from ..errors import UsageError
 from .primitives import HARD_N, PRIMITIVES, RUB_N, SCRAPE_SPEED_M_S, SOFT_N, Primitive
 
@@ -134,7 +134,7 @@ class _Said:
         if word not in _MEANINGS:
             if word[0].isdigit():
                 raise self.refused(f"'{word}' has no unit", "Write 1.5 N, 80 mm/s or 30 degrees, with a decimal point.")
-            near = difflib.get_close_matches(word, _BASES, n=3, cutoff=0.6)
+            near = closest(word, _BASES)
             offer = f"Did you mean {' or '.join(repr(each) for each in near)}?"
             listed = f"Choose one of {', '.join(PRIMITIVES)}, or say e.g. 'scrape left to right, hard'."
             raise self.refused(f"the word '{word}' is unknown", offer if near else listed)

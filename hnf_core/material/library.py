@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ..closest import closest
 from ..errors import MaterialError
 from .material import Appearance, LibraryMaterial
 from .mechanics import Mechanics
@@ -55,15 +56,13 @@ def find(name: str) -> LibraryMaterial:
 
     Raises MaterialError that names close matches.
     """
-    from difflib import get_close_matches  # here: switching the add-on on reads the library and needs no guesses
-
     wanted = _normalised(name)
     library = load_library()
     for material in library:
         if material.name == wanted:
             return material
     by_word = [material.name for material in library if wanted in material.words]
-    close = list(dict.fromkeys(get_close_matches(wanted, [m.name for m in library], 3, 0.5) + by_word))[:5]
+    close = list(dict.fromkeys(closest(wanted, [m.name for m in library]) + by_word))[:5]
     remedy = f"Did you mean {', '.join(close)}?" if close else "List them all with: hnf materials"
     raise MaterialError(f"no library material is called {name!r}.", remedy=remedy)
 
