@@ -105,7 +105,7 @@ def table(found: list[Found]) -> str:
         "|---|---|---|---|---|---|---|---|",
     ]
     for strokes, ours in (
-        ("straight and slow", [each for each in found if each.primitive != FAST]),
+        ("the seven others", [each for each in found if each.primitive != FAST]),
         (FAST, [each for each in found if each.primitive == FAST]),
     ):
         for tolerance_db in (None, *TOLERANCES_DB):
@@ -113,13 +113,15 @@ def table(found: list[Found]) -> str:
             if not rows:
                 continue
             error = np.array([each.error_db for each in rows])
-            cells = [f"{np.median(error):.1f} dB", f"{np.percentile(error, 90):.1f}", f"{error.max():.1f}"]
+            cells = [
+                f"{value:.1f} dB".replace("-", "−") for value in (*np.percentile(error, (50.0, 90.0)), error.max())
+            ]
             if tolerance_db is None:
                 cells += ["", "", ""]
             else:
                 kept, told = error <= tolerance_db, np.array([each.told for each in rows])
                 cells += [f"{kept.sum()} of {len(rows)}", str(told.sum()), str((~kept & ~told).sum())]
-            way = "every state" if tolerance_db is None else f"within {tolerance_db:.0f} dB"
+            way = "every state" if tolerance_db is None else f"within −{-tolerance_db:.0f} dB"
             lines.append(f"| {strokes} | {way} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
