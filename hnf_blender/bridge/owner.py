@@ -19,8 +19,8 @@ RENDERED = ""
 @dataclass(frozen=True)
 class Reads:
     """What some shaders read. layers: names of attributes, UV maps and colours of the mesh. of_object, of_scene:
-    names of properties. worldly: where it stands. generated: coordinates in its bounding box. info: names of the
-    outputs of Object Info that are used."""
+    names of properties. worldly: where it stands. generated: coordinates in its bounding box, which a radial tangent
+    turns around too. info: names of the outputs of Object Info that are used."""
 
     layers: frozenset[str] = frozenset()
     of_object: frozenset[str] = frozenset()
@@ -42,6 +42,7 @@ def reads_of(obj: Any, materials: Iterable[Any]) -> Reads:
         kind = node.bl_idname
         if kind == "ShaderNodeNewGeometry":
             worldly |= bool(used & WORLDLY_GEOMETRY)
+            generated |= "Tangent" in used
         elif kind == "ShaderNodeTexCoord":
             worldly |= "Object" in used and node.object is not None and node.object != obj
             worldly |= bool(used & {"Camera", "Window", "Reflection"})
@@ -58,6 +59,7 @@ def reads_of(obj: Any, materials: Iterable[Any]) -> Reads:
         elif kind in {"ShaderNodeUVMap", "ShaderNodeTangent", "ShaderNodeNormalMap"}:
             layers |= {node.uv_map} - {""}
             worldly |= getattr(node, "space", "") in {"WORLD", "BLENDER_WORLD"}
+            generated |= getattr(node, "direction_type", "") == "RADIAL"
         elif kind.startswith("ShaderNodeTex") and kind != IMAGE:
             vector = node.inputs.get("Vector")
             generated |= vector is not None and not vector.is_linked

@@ -192,6 +192,22 @@ def box_of_generated_coordinates(folder):
 
 
 @felt
+def box_of_a_radial_tangent(folder):
+    add_node("ShaderNodeTangent", direction_type="RADIAL")
+    yield
+    plate().data.use_auto_texspace = False
+    plate().data.texspace_location = (0.02, 0.01, 0.0)
+
+
+@felt
+def box_of_a_tangent_of_the_surface(folder):
+    add_node("ShaderNodeNewGeometry", "Tangent")
+    yield
+    plate().data.use_auto_texspace = False
+    plate().data.texspace_location = (0.02, 0.01, 0.0)
+
+
+@felt
 def face_of_another_slot(folder):
     plate().data.materials.append(bump_material("Other", height=1e-4))
     yield
