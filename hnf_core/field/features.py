@@ -45,7 +45,7 @@ _PHYSICS_SCALARS = 3
 @dataclass(frozen=True)
 class Inputs:
     """x: (n, D) network input. prior: (n, K) log amplitude per carrier of the linear contact; with line gains that of
-    its noise alone, and lines.PRIOR_COLUMNS more columns for the tones. gate: (n, K) factor 0 … 1 on the emission: 0 at
+    its noise alone, and lines.prior_columns more for the tones. gate: (n, K) factor 0 … 1 on the emission: 0 at
     rest, out of contact, and where an arc carrier leaves the band."""
 
     x: Float

@@ -26,9 +26,6 @@ SHIFTS = tuple(round(ARC_PER_OCTAVE * float(np.log2(harmonic))) for harmonic in 
 START_LOG = tuple(level * np.log(10.0) / 20.0 for level in HARMONIC_START_DB)
 GAINS = LINES * len(HARMONICS)
 """Outputs of the α head for tones: by harmonic, then by line."""
-PRIOR_COLUMNS = 3 * LINES
-"""Columns appended to the prior: log amplitude in the lower and in the upper of the two carriers about each tone, then
-the lower one's index."""
 QUIET_LINE_M_S2 = 1e-5
 
 
@@ -42,13 +39,14 @@ class Lines:
 
 
 def prior_columns(lines: Lines) -> Float:
-    """(n, PRIOR_COLUMNS)."""
+    """(n, 3 LINES) appended to the prior: log amplitude in the lower and in the upper of the two carriers about each
+    tone, then the lower one's index."""
     level = 0.5 * np.log(lines.power + QUIET_LINE_M_S2**2)
     return np.concatenate([level[0], level[1], lines.low.astype(np.float64)], axis=1)
 
 
 def line_power(gains: Float, columns: Float, count: int, ceiling: float) -> Float:
-    """Power per arc carrier (n, count) of tones with log gains (n, GAINS) and prior_columns (n, PRIOR_COLUMNS).
+    """Power per arc carrier (n, count) of tones with log gains (n, GAINS) and prior_columns (n, 3 LINES).
 
     ceiling: of a log amplitude.
     """

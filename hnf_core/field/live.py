@@ -8,7 +8,8 @@ Each state of 5 ms gives the 5 ms of samples that lead up to it; nothing later i
 * The touch begins when it is told, not 20 ms before; after a lift the fade of 60 ms is a state shorter, so that both
   together end within 60 ms.
 
-A hand that slides steadily therefore sounds as in synthesise(), sample by sample, DELAY_STATES later.
+A hand that slides steadily therefore sounds as in synthesise(), sample by sample, one state later: step(state) gives
+what lies between the state before and this one. What pressing alone gives comes another state later.
 """
 
 from __future__ import annotations
@@ -39,10 +40,6 @@ from .timeline import SAMPLES_PER_STATE
 
 Float = NDArray[np.float64]
 
-DELAY_STATES = 1
-"""Samples of step(state) are those of synthesise() between the state before and this one."""
-PRESSING_DELAY_STATES = 2
-"""The same for what pressing alone gives."""
 _SHARE = np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE
 _FADE_STATES = round(AFTER_CONTACT_S * ACTION_RATE_HZ) - 1
 _HERMITE = np.stack(

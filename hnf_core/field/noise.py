@@ -15,20 +15,14 @@ WORD = 0xFFFF_FFFF_FFFF_FFFF
 _WORDS_A_COUNT = 4
 
 
-def normal_block(seed: int, stream: int, block: int, count: int) -> NDArray[np.float64]:
-    """count standard normal numbers of block `block` (any integer, also negative) of stream `stream`.
+def _words(seed: int, stream: int, block: int, first: int, last: int) -> NDArray[np.uint64]:
+    """Words first … last − 1 of block `block` (any integer, also negative) of a stream; what lies before them is not
+    drawn.
 
     Philox4x64-10 (Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3") keyed by (seed, stream) at a
-    counter set by the block, then Box–Muller on the raw words: numpy promises the raw words across versions, but not
-    its own normal sampler, and the same seed must give the same bytes.
+    counter set by the block. Raw words, for numpy promises those across versions, but not its own normal sampler, and
+    the same seed must give the same bytes.
     """
-    pairs = (count + 1) // 2
-    radius, angle = _polar(seed, stream, block, pairs, slice(0, pairs))
-    return np.asarray(np.concatenate([radius * np.cos(angle), radius * np.sin(angle)])[:count])
-
-
-def _words(seed: int, stream: int, block: int, first: int, last: int) -> NDArray[np.uint64]:
-    """Words first … last − 1 of a block; what lies before them is not drawn."""
     skipped = first // _WORDS_A_COUNT
     bits = np.random.Philox(key=(seed & WORD) | ((stream & WORD) << 64), counter=((block & WORD) << 64) + skipped)
     return np.asarray(bits.random_raw(last - _WORDS_A_COUNT * skipped)[first - _WORDS_A_COUNT * skipped :])

@@ -29,8 +29,6 @@ PERIODS_NEEDED = 2.0
 BANDS_FOR_SHAPE = 3
 """Skewness and kurtosis are known from this many known bands on: fewer octaves say little of pits and grains."""
 FLOOR_M2 = (10.0**SMOOTH_LEVEL) ** 2
-HANN_BINS = 1.5
-"""Equivalent noise bandwidth of a Hann window, in bins, per axis."""
 CLEAR_PEAK = 0.3
 """Share of its band from which on a peak's place is told in full."""
 FEATHER_M = 0.4e-3

@@ -90,7 +90,7 @@ class FieldNetwork(nn.Module):
 
 
 def line_power(gains: Tensor, columns: Tensor, count: int) -> Tensor:
-    """Twin of field.lines.line_power: log gains (n, GAINS), prior columns (n, PRIOR_COLUMNS) → (n, count)."""
+    """Twin of field.lines.line_power: log gains (n, GAINS), prior columns (n, 3 LINES) → (n, count)."""
     shift, start = torch.tensor(SHIFTS)[:, None], torch.tensor(START_LOG, dtype=torch.float32)[:, None]
     gain = gains.reshape(len(gains), 1, len(SHIFTS), LINES) + start
     level = columns[:, : 2 * LINES].reshape(-1, 2, 1, LINES)

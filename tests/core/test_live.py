@@ -23,7 +23,7 @@ from live_strokes import (
 from hnf_core.errors import StrokeError, UsageError
 from hnf_core.field.config import FieldConfig
 from hnf_core.field.field import Field, initial_parameters
-from hnf_core.field.live import DELAY_STATES, LiveSynthesis
+from hnf_core.field.live import LiveSynthesis
 from hnf_core.field.live_noise import KEPT_BLOCKS
 from hnf_core.field.live_octave import KEPT_HOPS
 from hnf_core.field.live_state import LiveState
@@ -44,7 +44,6 @@ TOUCHED = 4500
 @pytest.mark.parametrize(("speed", "force"), [(0.1, 1.0), (0.5, 0.3)])
 def test_a_steady_slide_sounds_as_offline(material, speed, force):
     stroke = on(hand(speed, force, seconds=1.5), material)
-    assert DELAY_STATES == 1
     assert error(live(stroke)[TOUCHED:], offline(stroke)[TOUCHED:]) < STEADY
 
 

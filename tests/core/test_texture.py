@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from normal_noise import normal_block
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.field.band_waves import complex_waves, real_waves, wave_plan
 from hnf_core.field.carriers import ARC_BLOCK, Carriers
 from hnf_core.field.hops import ARC_HOP, CELL, HOP, MARGINS, MIDDLE, arc_hop, time_hop, time_levels
 from hnf_core.field.knots import Knots
-from hnf_core.field.noise import band_bins, band_spectra, bins_of, normal_block
+from hnf_core.field.noise import band_bins, band_spectra, bins_of
 from hnf_core.field.plain import plain_texture, position_beyond
 from hnf_core.field.texture import REACH, texture_hops
 from hnf_core.field.timeline import SAMPLES_PER_STATE

@@ -49,21 +49,6 @@ def trunk_shapes() -> dict[str, tuple[int, ...]]:
     return shapes
 
 
-def smallest_side() -> int:
-    """Pixels below which a pooling would find nothing to pool."""
-    return next(side for side in range(1, 256) if _sides(side) > 0)
-
-
-def _sides(side: int) -> int:
-    for layer in TRUNK:
-        side = (side + 2 * layer.padding - layer.kernel) // layer.stride + 1
-        if layer.pool:
-            side = (side - POOL) // POOL_STRIDE + 1
-        if side < 1:
-            return 0
-    return side
-
-
 def trunk_features(pictures: Single, weights: Mapping[str, Single]) -> Single:
     """(n, FEATURES): the last convolution's rectified outputs for (n, H, W, 3) pictures, averaged over positions."""
     x = pictures
