@@ -235,8 +235,8 @@ def _for_a_quick_look(scene: Any) -> None:
         scene.cycles.use_denoising = True
         with quiet():  # naming one makes Cycles look for graphics cards, and say on standard output that there are none
             scene.cycles.denoiser = "OPENIMAGEDENOISE"
-        # By colour alone a relief is taken for noise: wales and weave are smeared away. Albedo and normal tell it, where
-        # they are denoised themselves first, and well: of so few samples they are as noisy as the colour.
+        # By colour alone a relief is taken for noise: wales and weave are smeared away. Albedo and normal tell it,
+        # where they are denoised themselves first, and well: of so few samples they are as noisy as the colour.
         scene.cycles.denoising_input_passes = "RGB_ALBEDO_NORMAL"
         scene.cycles.denoising_prefilter = "ACCURATE"
         if hasattr(scene.cycles, "denoising_quality"):

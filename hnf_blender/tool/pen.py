@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from hnf_core.action.pen_stroke import REST_S, evenly_in_time
+from hnf_core.export.force_colour import force_colour
 from hnf_core.units import m_to_mm
 
 from ..bridge.boxes import in_renders
 from ..bridge.metres import metres_per_unit
 from ..bridge.under_cursor import region_under, surface_under, view_under, why_untouched
 from ..translations import tr
-from ..ui.force_colour import force_colour
 
 STEP_PX = 4.0
 """Between two places of the pen further apart than this, rays look for the surface in between."""

@@ -10,7 +10,8 @@ from gpu_extras.batch import batch_for_shader
 from mathutils import Matrix
 from numpy.typing import NDArray
 
-from .force_colour import Colour, force_colour
+from hnf_core.export.force_colour import Colour, force_colour
+
 from .overlay_paths import OverlayPath
 
 Float = NDArray[np.float64]

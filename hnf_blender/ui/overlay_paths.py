@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from hnf_core.action.curves import ArcCurve
 from hnf_core.errors import HnfError
-
-from .force_colour import force_colour
+from hnf_core.export.force_colour import force_colour
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]

@@ -82,7 +82,7 @@ def _draw_bar(axes: Axes) -> None:
 
 
 def _along_bar(force: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.log2(1.0 + force / FINE_N)
+    return np.asarray(np.log2(1.0 + force / FINE_N))
 
 
 def _colours(force: NDArray[np.float64]) -> NDArray[np.float64]:

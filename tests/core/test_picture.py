@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from hnf_core.action.action import Action
 from hnf_core.errors import FileError
+from hnf_core.export.force_colour import force_colour
 from hnf_core.export.path_on_view import StrokeView
 from hnf_core.export.picture import linear_to_srgb, stroke_picture
 from hnf_core.export.spectra import spectrogram
@@ -79,7 +80,7 @@ def test_the_view_shows_the_path_in_the_colour_of_its_force(tmp_path: Path) -> N
     drawn = pixels(tmp_path / "a.png")
     assert drawn.shape == (1000, 1600, 3)
     column = slice(40, 790)
-    full_force, grey = np.array([240, 249, 33]) / 255, linear_to_srgb(np.float32([0.2, 0.2, 0.2]))
+    full_force, grey = np.array(force_colour(1.0)[:3]), linear_to_srgb(np.float32([0.2, 0.2, 0.2]))
     at = np.argwhere(np.abs(drawn[90:500, column] - full_force).max(axis=2) < 0.02)
     assert len(at) > 500
     # The path runs down the diagonal of the view, so rows and columns of its pixels go together.
@@ -87,11 +88,27 @@ def test_the_view_shows_the_path_in_the_colour_of_its_force(tmp_path: Path) -> N
     assert np.mean(np.abs(drawn[90:500, column] - grey).max(axis=2) < 0.01) > 0.5
 
 
+@pytest.mark.parametrize("strongest", [1.0, 2.5, 6.0])
+def test_a_force_has_the_same_colour_whatever_the_strongest_is(tmp_path: Path, strongest: float) -> None:
+    """Half the way at 1 N, half at the strongest; and every colour of the bar is where it always is."""
+    shown = view()
+    force = np.where(np.arange(101) < 50, 1.0, strongest)
+    seen = StrokeView(shown.rgb, shown.path, force)
+    for name, each in (("a.png", seen), ("b.png", view())):
+        stroke_picture(tmp_path / name, title="A", action=action(), signal=signal(), view=each)
+    drawn, other = pixels(tmp_path / "a.png"), pixels(tmp_path / "b.png")
+    for newtons in (1.0, strongest):
+        at = np.abs(drawn[90:500, 40:790] - np.array(force_colour(newtons)[:3])).max(axis=2) < 0.02
+        assert at.sum() > 250
+    assert np.array_equal(drawn[530:590, 40:790], other[530:590, 40:790])
+    assert len(np.unique(drawn[534, 45:790].round(2), axis=0)) > 100
+
+
 def test_hidden_parts_are_not_drawn_as_visible(tmp_path: Path) -> None:
     stroke_picture(tmp_path / "a.png", title="A", action=action(), signal=signal(), view=view())
     hidden = StrokeView(view().rgb, view().path, view().force, np.zeros(101, bool))
     stroke_picture(tmp_path / "b.png", title="A", action=action(), signal=signal(), view=hidden)
-    full_force = np.array([240, 249, 33]) / 255
+    full_force = np.array(force_colour(1.0)[:3])
     count = [
         np.sum(np.abs(pixels(tmp_path / n)[90:500, 40:790] - full_force).max(axis=2) < 0.02) for n in ("a.png", "b.png")
     ]
