@@ -84,6 +84,15 @@ def _channelbag(action: Any, slot: Any) -> Any:
     return None
 
 
+def working_space() -> str:
+    """The colour space that shaders compute in; "" for Linear Rec.709, the only one before 5.0."""
+    import bpy
+
+    spaces = getattr(bpy.data, "colorspace", None)
+    name = str(getattr(spaces, "working_space", ""))
+    return "" if name == "Linear Rec.709" else name
+
+
 def has_denoiser() -> bool:
     """Does this build come with Open Image Denoise? Distribution builds may not: they fail, or silently skip it."""
     try:

@@ -53,8 +53,9 @@ SAME = 1e-6
 def material_hash(material: Any, frame: int = 1) -> str:
     """Hash of everything a material's node tree computes, images' pixels included; "" for no material.
 
-    frame: of the scene, which says what image sequences show; all other values are as they stand now. What feeds only
-    the viewport (preview, line art) does not count, nor what is another object's or the mesh's (see owner.py).
+    frame: of the scene, which says what image sequences show; all other values are as they stand now. The file's
+    working colour space counts: greys of colours and values of pictures follow from it. What feeds only the viewport
+    (preview, line art) does not count, nor what is another object's or the mesh's (see owner.py).
     """
     if material is None:
         return ""
@@ -62,7 +63,7 @@ def material_hash(material: Any, frame: int = 1) -> str:
         plain = (material.diffuse_color, material.roughness, material.metallic)
         return content_hash("plain", repr([list(plain[0]), plain[1], plain[2]]))
     method = getattr(material, "displacement_method", "")
-    return content_hash("nodes", method, *_tree_parts(material.node_tree, set(), frame))
+    return content_hash("nodes", method, *_tree_parts(material.node_tree, set(), frame), *_working_space())
 
 
 def settings_text(block: Any) -> str:
@@ -83,7 +84,12 @@ def settings_text(block: Any) -> str:
 
 def tree_hash(tree: Any, frame: int = 1) -> str:
     """As material_hash, of the node tree of a world or a light; "" for None."""
-    return "" if tree is None else content_hash("tree", *_tree_parts(tree, set(), frame))
+    return "" if tree is None else content_hash("tree", *_tree_parts(tree, set(), frame), *_working_space())
+
+
+def _working_space() -> Iterator[str]:
+    """Nothing for the usual one: a file has the same hash in Blenders that know no other."""
+    yield from filter(None, [compat.working_space()])
 
 
 def _tree_parts(tree: Any, seen: set[str], frame: int) -> Iterator[str]:

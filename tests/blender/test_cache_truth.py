@@ -218,6 +218,27 @@ def test_the_unit_scale_is_noticed_on_every_surface(job) -> None:
     assert done.counts.renders == 2
 
 
+@worked_through
+def test_the_working_space_is_noticed_on_every_surface(job) -> None:
+    """What grey a colour is, and what a picture's values become, depends on it."""
+    set_space = bpy.ops.wm.set_working_color_space
+    bump, links = node("ShaderNodeBump"), node("ShaderNodeBump").id_data.links
+    checks, grey = links.id_data.nodes.new("ShaderNodeTexChecker"), links.id_data.nodes.new("ShaderNodeRGBToBW")
+    checks.inputs["Color1"].default_value = (0.9, 0.1, 0.1, 1.0)
+    links.new(node("ShaderNodeUVMap").outputs[0], checks.inputs["Vector"])
+    links.new(checks.outputs["Color"], grey.inputs[0])
+    links.new(grey.outputs[0], bump.inputs["Height"])
+    job()
+    before = look(plate()).height
+    set_space(working_space="Linear Rec.2020", convert_colors=False)
+    done = job()
+    assert done.strokes == ("Along", "Beside")
+    assert done.counts.renders == 2
+    assert not np.array_equal(look(plate()).height, before)
+    set_space(working_space="Linear Rec.709", convert_colors=False)
+    assert job().counts.renders == 0
+
+
 def test_equal_surfaces_share_a_close_up(job) -> None:
     """The store knows content, not objects."""
     node("ShaderNodeBump").inputs["Distance"].default_value = 2e-3

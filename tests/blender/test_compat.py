@@ -25,6 +25,15 @@ def test_f_curves_are_those_of_the_datablock_itself():
     assert [curve.data_path for curve in compat.fcurves_of(camera)] == ["lens"]
 
 
+def test_only_an_unusual_working_space_has_a_name():
+    assert compat.working_space() == ""
+    if compat.version() >= (5, 0, 0):
+        bpy.ops.wm.set_working_color_space(working_space="Linear Rec.2020", convert_colors=False)
+        assert compat.working_space() == "Linear Rec.2020"
+        bpy.ops.wm.set_working_color_space(working_space="Linear Rec.709", convert_colors=False)
+    assert compat.working_space() == ""
+
+
 def test_engines_and_formats_have_their_names_here():
     render = bpy.context.scene.render
     compat.use_multilayer_exr(render)
