@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..blas import one_blas_thread
-from ..kernel.halves import cores
+from ..cores import cores
 
 Float32 = NDArray[np.float32]
 

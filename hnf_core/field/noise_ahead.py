@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from ..action.action import Action
-from ..kernel.halves import beside, cores
+from ..cores import beside, cores
 from ..kernel.library import kernel
 from .carriers import Carriers
 from .config import FieldConfig

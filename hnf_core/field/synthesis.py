@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..action.action import Action
-from ..kernel.halves import beside, cores
+from ..cores import beside, cores
 from ..kernel.library import kernel
 from ..material.contact import tip_response
 from ..material.probe import PROBES

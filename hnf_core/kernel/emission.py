@@ -12,8 +12,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from ..cores import in_halves
 from .contact import TOUCH, Tables
-from .halves import in_halves
 from .library import address, pointers
 
 Float = NDArray[np.float64]

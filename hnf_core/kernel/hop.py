@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .halves import in_halves
+from ..cores import in_halves
 from .library import address, pointers, rows
 
 Float = NDArray[np.float64]

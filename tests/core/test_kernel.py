@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hnf_core import cores as both_cores
 from hnf_core.bench.synth import forget_carriers, ten_seconds
 from hnf_core.field import texture
 from hnf_core.field.adaptive import Sampled, accumulated
@@ -29,8 +30,8 @@ from hnf_core.field.synthesis import prepare, rendered
 from hnf_core.field.texture import REACH, texture_hops
 from hnf_core.field.timeline import condition_at, states_of
 from hnf_core.field.weights import load_field
-from hnf_core.kernel import halves, library
 from hnf_core.kernel import hop as kernel_hop
+from hnf_core.kernel import library
 from hnf_core.kernel.contact import FEATURES, TOUCH, Tables, between_rows
 from hnf_core.kernel.contact import linear_contact as compiled_contact
 from hnf_core.kernel.hop import ArcReader, HopTables, Piece
@@ -104,16 +105,16 @@ def test_hops_in_a_row_are_what_each_is_alone():
 def test_a_stroke_rendered_on_two_cores_is_that_of_one(monkeypatch):
     stroke = ten_seconds(4.0)
     prepared = prepare(load_field(), stroke, seed=2)
-    monkeypatch.setattr(halves, "cores", lambda: 1)
+    monkeypatch.setattr(both_cores, "cores", lambda: 1)
     wanted = rendered(prepared)
-    monkeypatch.setattr(halves, "cores", lambda: 2)
+    monkeypatch.setattr(both_cores, "cores", lambda: 2)
     assert rendered(prepared).tobytes() == wanted.tobytes()
     assert rendered(prepared, 5000, 31_000).tobytes() == wanted[5000:31_000].tobytes()
 
 
 @pytest.mark.parametrize(("cores", "count", "threads"), [(1, 9, 1), (2, 9, 2), (2, 5, 1), (2, 0, 1)])
 def test_halves_are_all_of_it_and_tell_what_went_wrong(monkeypatch, cores, count, threads):
-    monkeypatch.setattr(halves, "cores", lambda: cores)
+    monkeypatch.setattr(both_cores, "cores", lambda: cores)
     done, who = np.zeros(count), set()
 
     def work(low, high):
@@ -123,13 +124,13 @@ def test_halves_are_all_of_it_and_tell_what_went_wrong(monkeypatch, cores, count
             raise ValueError("the later half")
 
     failing = False
-    halves.in_halves(work, count, 3)
+    both_cores.in_halves(work, count, 3)
     assert (done == 1.0).all()
     assert len(who) == threads
     failing = True
     if count == 9:
         with pytest.raises(ValueError, match="later half"):
-            halves.in_halves(work, count, 3)
+            both_cores.in_halves(work, count, 3)
 
 
 @needs_kernel

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hnf_core import cores as both_cores
 from hnf_core.bench.synth_table import Grid, from_table, read_table, tabulate
 from hnf_core.field.carriers import Carriers
 from hnf_core.field.config import FieldConfig
@@ -19,7 +20,7 @@ from hnf_core.field.linear_contact import Condition
 from hnf_core.field.live_emission import LiveEmission
 from hnf_core.field.network import heads
 from hnf_core.field.weights import load_field
-from hnf_core.kernel import emission, halves
+from hnf_core.kernel import emission
 from hnf_core.kernel.contact import TOUCH
 from hnf_core.kernel.emission import MOTION, Emitter, Expected, OneState
 from hnf_core.kernel.library import kernel, plainly, why_not
@@ -186,7 +187,7 @@ def test_answers_that_are_there_emit_what_answers_that_are_asked_for_do(monkeypa
 
     wanted = evaluate(field, condition, noted)
     for cores in (1, 2):
-        monkeypatch.setattr(halves, "cores", lambda cores=cores: cores)
+        monkeypatch.setattr(both_cores, "cores", lambda cores=cores: cores)
         for found in (evaluate(field, condition, said[0]), evaluate(field, condition, lambda _: said[0])):
             np.testing.assert_array_equal(found.alpha, wanted.alpha)
             np.testing.assert_array_equal(found.sigma_dt, wanted.sigma_dt)

@@ -21,7 +21,8 @@ LINE_LIMIT = 400
 # docs/architecture.md: a room may use the rooms of a lower floor only. Rooms of one floor do not know each other.
 FLOORS = (
     ("errors", "closest"),
-    ("units", "files", "signal", "tensor_file", "blas", "archive", "folder_lock", "kernel"),
+    ("units", "files", "signal", "tensor_file", "blas", "archive", "folder_lock", "cores"),
+    ("kernel",),
     ("weights_file",),
     ("scene", "metrics"),
     ("tactile",),
