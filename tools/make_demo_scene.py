@@ -64,19 +64,19 @@ def _strokes(touched: dict[str, Any]) -> None:
     )  # fmt: skip
     add_stroke(
         "Across the corduroy", cushion, from_above(cushion, (-0.065, 0.0), (0.065, 0.012), 12, bend=0.01),
-        kind="BEZIER", start_frame=49, force=[(0.0, 0.0), (0.2, 0.9), (0.9, 1.4), (1.3, 0.7), (1.5, 0.0)],
-        progress=[(0.1, 0.0), (1.5, 1.0)], seed=2,
+        kind="BEZIER", start_frame=49, force=[(0.0, 0.0), (0.2, 0.5), (1.1, 0.9), (1.65, 0.4), (1.85, 0.0)],
+        progress=[(0.1, 0.0), (1.85, 1.0)], seed=2,
     )  # fmt: skip
     add_stroke(
         "From linen to leather", book, from_above(book, (-0.066, -0.045), (0.055, 0.055), 7, bend=-0.018),
-        kind="BEZIER", start_frame=97, force=[(0.0, 0.0), (0.15, 0.6), (0.8, 1.2), (1.5, 2.2), (1.7, 0.0)],
-        progress=[(0.1, 0.0), (0.7, 0.45), (1.65, 1.0)], seed=3,
+        kind="BEZIER", start_frame=97, force=[(0.0, 0.0), (0.15, 0.3), (0.9, 0.5), (1.7, 0.8), (1.9, 0.0)],
+        progress=[(0.1, 0.0), (0.85, 0.45), (1.85, 1.0)], seed=3,
     )  # fmt: skip
     add_stroke(
         "Press and lift", tile, from_above(tile, (-0.07, -0.055), (0.07, 0.05), 6, bend=0.03), kind="NURBS",
         start_frame=145, seed=4,
-        force=[(0.0, 0.0), (0.15, 2.5), (0.5, 1.0), (0.8, 1.0), (0.95, 0.0),
-               (1.15, 0.0), (1.3, 1.6), (1.9, 0.8), (2.0, 0.0)],
+        force=[(0.0, 0.0), (0.15, 1.4), (0.5, 0.6), (0.8, 0.6), (0.95, 0.0),
+               (1.15, 0.0), (1.3, 0.9), (1.9, 0.5), (2.0, 0.0)],
         progress=[(0.25, 0.0), (0.9, 0.4), (1.2, 0.5), (1.95, 1.0)],
     )  # fmt: skip
     turns = np.linspace(-2.35, -0.75, 49)

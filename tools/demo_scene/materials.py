@@ -1,5 +1,6 @@
 """Materials whose bumps are metres: every height below is that of the whole range 0 … 1 of its texture (noise uses
-about 0.4 of it), every wavelength that of the real thing."""
+about 0.4 of it), every wavelength that of the real thing. Cloth, leather and clay are flatter than real ones, worn as
+they might be: an actuator of ordinary strength can then play what is felt."""
 
 from __future__ import annotations
 
@@ -111,11 +112,11 @@ class Shader:
 
 
 def corduroy() -> Any:
-    """Wales 2.2 mm apart along v, 240 µm high, with a fibrous pile."""
+    """Wales 2.2 mm apart along v, 60 µm high, with a fibrous pile."""
     s = Shader("Corduroy", Roughness=0.9, Sheen_Weight=0.35, Sheen_Roughness=0.45, Specular_IOR_Level=0.15)
     wale = s.ridges(s.u, 2.2 * MM)
     pile = s.noise(0.22 * MM, 0.6 * MM, detail=1.0)
-    s.bump(90 * UM, wale, "Wales")
+    s.bump(60 * UM, wale, "Wales")
     s.bump(12 * UM, pile, "Pile")
     worn = s.math("MULTIPLY", s.total(wale, s.math("MULTIPLY", s.noise(30 * MM, detail=3.0), 0.5)), 0.72)
     s.paint(s.ramp(worn, (0.12, (0.006, 0.030, 0.038)), (0.62, (0.018, 0.105, 0.120)), (1.0, (0.045, 0.185, 0.195))))
@@ -123,7 +124,7 @@ def corduroy() -> Any:
 
 
 def linen() -> Any:
-    """Plain weave, threads 0.9 mm apart, 170 µm deep."""
+    """Plain weave, threads 0.9 mm apart, 32 µm deep."""
     s = Shader("Linen book cloth", Roughness=0.85, Sheen_Weight=0.2, Specular_IOR_Level=0.2)
     pitch = 0.9 * MM
     waves = [s.math("COSINE", s.math("MULTIPLY", x, 3.14159265 / pitch)) for x in (s.u, s.v)]
@@ -131,7 +132,7 @@ def linen() -> Any:
     warp = s.math("MULTIPLY", s.math("ABSOLUTE", waves[0]), s.math("ADD", over, 0.7))
     weft = s.math("MULTIPLY", s.math("ABSOLUTE", waves[1]), s.math("SUBTRACT", 0.7, over))
     weave = s.math("MAXIMUM", warp, weft)
-    s.bump(60 * UM, weave, "Weave")
+    s.bump(32 * UM, weave, "Weave")
     s.bump(8 * UM, s.noise(0.15 * MM, detail=1.0), "Fibres")
     slub = s.math("MULTIPLY", s.math("ADD", s.noise(0.8 * MM, 14 * MM), s.noise(14 * MM, 0.8 * MM)), 0.35)
     s.paint(
@@ -141,11 +142,11 @@ def linen() -> Any:
 
 
 def leather() -> Any:
-    """Pebbles of 1.5 mm, 140 µm high, and finer pores."""
+    """Pebbles of 1.5 mm, 32 µm high, and finer pores."""
     s = Shader("Leather", Roughness=0.5, Specular_IOR_Level=0.5)
     pebble = s.step(s.cells(1.5 * MM, jitter=0.9), 0.0, 0.32)
     crease = s.step(s.cells(6.0 * MM), 0.0, 0.08)
-    s.bump(60 * UM, s.math("MULTIPLY", pebble, s.math("ADD", s.math("MULTIPLY", crease, 0.4), 0.6)), "Pebbles")
+    s.bump(32 * UM, s.math("MULTIPLY", pebble, s.math("ADD", s.math("MULTIPLY", crease, 0.4), 0.6)), "Pebbles")
     s.bump(8 * UM, s.noise(0.3 * MM, detail=2.0), "Pores")
     tone = s.total(s.math("MULTIPLY", s.noise(25 * MM, detail=4.0), 0.7), s.math("MULTIPLY", pebble, 0.25))
     s.paint(s.ramp(tone, (0.2, (0.055, 0.012, 0.006)), (0.6, (0.150, 0.036, 0.014)), (0.9, (0.235, 0.066, 0.026))))
@@ -163,12 +164,12 @@ def brushed_metal() -> Any:
 
 
 def terracotta() -> Any:
-    """Fired clay: grain from 1.6 mm down to 0.05 mm, about 120 µm of the noise's 300 µm range, with pits."""
+    """Fired clay: grain from 1.6 mm down to 0.05 mm, about 0.4 of the noise's 62 µm range, with pits."""
     s = Shader("Terracotta", Roughness=0.88, Specular_IOR_Level=0.2)
     grain = s.noise(1.6 * MM, detail=5.0, rough=0.7)
     pits = s.step(s.cells(3.2 * MM, "F1"), 0.06, 0.16)
-    s.bump(110 * UM, grain, "Grain")
-    s.bump(40 * UM, pits, "Pits")
+    s.bump(62 * UM, grain, "Grain")
+    s.bump(24 * UM, pits, "Pits")
     tone = s.total(s.math("MULTIPLY", s.noise(45 * MM, detail=6.0), 0.8), s.math("MULTIPLY", grain, 0.3))
     clay = s.ramp(tone, (0.3, (0.33, 0.105, 0.045)), (0.55, (0.47, 0.170, 0.080)), (0.8, (0.60, 0.275, 0.155)))
     dark = s.add("ShaderNodeMix", data_type="RGBA", blend_type="MULTIPLY")
