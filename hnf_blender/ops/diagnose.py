@@ -12,6 +12,7 @@ import bpy
 import numpy
 
 from hnf_core import __version__
+from hnf_core.cli.health import field_identity, kernel_state, version_of
 from hnf_core.errors import HnfError
 
 from .. import compat
@@ -42,9 +43,9 @@ def collect() -> tuple[tuple[str, str], ...]:
     rows = [
         *versions(),
         ("System", f"{platform.system()} {platform.release()} {platform.machine()}"),
-        *((package, _version_of(package)) for package in PACKAGES),
-        ("Compiled kernel", _kernel()),
-        ("Field", _field_identity()),
+        *((package, version_of(package) or "not installed") for package in PACKAGES),
+        ("Compiled kernel", kernel_state()),
+        ("Field", field_identity()),
         ("Encoder", ENCODER_ID),
         ("Weights for pictures", _map_weights()),
         ("Blender file", bpy.data.filepath or "not saved"),
@@ -91,31 +92,6 @@ def touch_bytes() -> int:
     from ..touch.stored import stored_bytes
 
     return sum(stored_bytes(obj) for obj in bpy.data.objects) + sum(token_bytes(mesh) for mesh in bpy.data.meshes)
-
-
-def _version_of(package: str) -> str:
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"
-
-
-def _kernel() -> str:
-    """Whether the inner loops of synthesis are compiled: numpy does the same in about twice the time."""
-    from hnf_core.kernel.library import kernel, why_not
-
-    return "at work" if kernel() is not None else f"using slower numpy version ({why_not()})"
-
-
-def _field_identity() -> str:
-    from hnf_core.field.weights import load_field
-
-    try:
-        return load_field().identity
-    except (HnfError, ImportError) as error:
-        return str(error)
 
 
 def _outside() -> str:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 
 from .. import __version__
 from ..errors import HnfError, UsageError
-from .verbs import HELP, MODULES, module_of
+from .verbs import ELSEWHERE, EXAMPLES, HELP, MODULES, module_of
 
 Runner = Callable[[argparse.Namespace], int]
 
@@ -24,10 +24,13 @@ def build_parser(
     """The command line. The runners given do the Blender part, which this package may not know. only: the one verb to
     know with its options, of the others no more than what they are for; None = all."""
     parser = argparse.ArgumentParser(
-        prog="hnf", description="Haptic Neural Fields: strokes on 3-D scenes become vibrotactile acceleration."
+        prog="hnf",
+        description="Haptic Neural Fields: strokes on 3-D scenes become vibrotactile acceleration.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"hnf {__version__}")
-    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    verbs = parser.add_subparsers(dest="verb", metavar="COMMAND", required=True)
     given = {"touch": run_touch, "bench": run_bench, "export": run_export}
     for verb in MODULES:
         if only not in (None, verb):
@@ -50,7 +53,13 @@ def main(
             out.reconfigure(errors="backslashreplace")
     try:
         verb = next((word for word in argv if not word.startswith("-")), "")
-        arguments = build_parser(run_touch, run_bench, run_export, verb).parse_args(list(argv))
+        parser = build_parser(run_touch, run_bench, run_export, verb)
+        if not argv:
+            parser.print_help()
+            return 2
+        if verb and verb not in MODULES:
+            raise _no_such_command(verb)
+        arguments = parser.parse_args(list(argv))
         code = int(arguments.run(arguments))
         print(end="", flush=True)
         return code
@@ -68,3 +77,14 @@ def main(
     except KeyboardInterrupt:
         print("hnf: stopped. What was finished before is kept.", file=sys.stderr)
         return 1
+
+
+def _no_such_command(word: str) -> UsageError:
+    from ..closest import closest  # here: who makes no mistake needs no guesses
+
+    near = closest(word, MODULES)
+    guess = f"Did you mean {' or '.join(repr(name) for name in near)}? " if near else ""
+    return UsageError(
+        f"there is no command '{word}'.",
+        remedy=ELSEWHERE.get(word) or f"{guess}Commands: {', '.join(MODULES)}. What each does: hnf --help",
+    )

@@ -20,6 +20,7 @@ MODULES = {
     "stream": "stream",
     "bench": "bench",
     "batch": "batch",
+    "doctor": "doctor",
 }
 """Verb → module of this package. Its add_parser(verbs) adds the verb; its run, where it has one, does it."""
 
@@ -35,7 +36,16 @@ HELP = {
     "stream": "play a WAV on an actuator",
     "bench": "measure time, memory and error, as a table",
     "batch": "run many of these commands on many workers; what is finished is not run again",
+    "doctor": "say what is installed and at work, and what a missing part costs",
 }
+
+EXAMPLES = """examples:
+  hnf touch scene.blend --plan                          what can be touched, and what it would take
+  hnf touch scene.blend --out result                    a WAV and a picture for every stroke
+  hnf synth --material oak-wood --stroke rub-slow --out rub.wav"""
+
+ELSEWHERE = {"probe": "To ask about one place: hnf touch SCENE --out DIR --probe OBJECT:u,v"}
+"""What people look for as a command of its own → what does it."""
 
 
 def module_of(verb: str) -> ModuleType:

@@ -12,6 +12,7 @@ import hnf_core
 from hnf_blender.ops import diagnose
 from hnf_blender.rooms import switch_off, switch_on
 from hnf_blender.state.session import STATE, JobStatus, LastJob
+from hnf_core.cli import health
 from hnf_core.field.weights import load_field
 from hnf_core.kernel.library import kernel, plainly
 
@@ -61,15 +62,17 @@ def test_lines_up() -> None:
     assert diagnose.as_text((("A", "1"), ("Long", "2"))) == "A     1\nLong  2\n"
 
 
-def test_a_part_that_is_missing_is_said_not_raised() -> None:
-    assert diagnose._version_of("no-such-package") == "not installed"
+def test_a_part_that_is_missing_is_said_not_raised(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert health.version_of("no-such-package") == ""
+    monkeypatch.setattr(diagnose, "PACKAGES", ("no-such-package",))
+    assert ("no-such-package", "not installed") in diagnose.collect()
 
 
 def test_whoever_does_the_kernels_work_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    told = diagnose._kernel()
+    told = health.kernel_state()
     assert (told == "at work") == (kernel() is not None)
     with plainly():
-        assert diagnose._kernel().startswith("using slower numpy version")
+        assert health.kernel_state().startswith("using slower numpy version")
     assert ("Compiled kernel", told) in diagnose.collect()
 
 

@@ -11,7 +11,6 @@ from builders import add_mesh, add_plane, bump_material
 from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, set_keys, signals, spectrum_db, touch
 
 from hnf_blender.bridge.storage import TOKEN_ATTRIBUTE, read_tokens
-from hnf_blender.cli import main
 
 
 def rms_of_one(scene, out, *words) -> float:
@@ -314,28 +313,6 @@ def test_the_plan_says_what_and_does_nothing(tmp_path, capsys) -> None:
     capsys.readouterr()
     touch(scene, out, "--plan")
     assert "Up to date:" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("--material", f"{PLATE}=oak-wood"),
-        ("--stroke", "rub-slow", "--on", PLATE),
-        ("--probe", f"{PLATE}:0.01,0.02"),
-        ("--stroke", "rub-slow", "--on", "nobody"),
-    ],
-    ids=lambda words: words[0] + words[-1][:4],
-)
-def test_a_plan_needs_no_folder_and_leaves_none(tmp_path, capsys, words) -> None:
-    ridge_plate()
-    scene = save_scene(tmp_path / "scene.blend")
-    capsys.readouterr()
-    code = main(["touch", str(scene), "--plan", *words])
-    without = capsys.readouterr()
-    assert code == main(["touch", str(scene), "--out", str(tmp_path / "out"), "--plan", *words])
-    assert capsys.readouterr() == without
-    assert ("nobody" in without.out + without.err) == (code == 1) == ("nobody" in words)
-    assert list(tmp_path.iterdir()) == [scene]
 
 
 @pytest.mark.parametrize(("height", "unusual"), [(1e-7, True), (60e-6, False), (0.01, True)])

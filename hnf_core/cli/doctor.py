@@ -1,0 +1,45 @@
+"""`hnf doctor`: what is installed, what is at work, and what a missing part costs."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+from .health import PACKAGES, base_versions, field_identity, file_hashes, kernel_state, version_of
+from .verbs import HELP
+
+CACHE = "in the folder 'cache' of each --out"
+
+
+def add_parser(verbs: Any) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = verbs.add_parser(
+        "doctor",
+        help=HELP["doctor"],
+        description="Say what is installed and at work, and what a missing part costs; for whoever helps you.",
+    )
+    parser.add_argument("--json", action="store_true", help="print it as one JSON object")
+    return parser
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Prints; returns the exit code, 0 whatever is missing."""
+    facts = (
+        *base_versions(),
+        ("Compiled kernel", kernel_state()),
+        ("Field", field_identity()),
+        *file_hashes(),
+        ("Cache of touch", CACHE),
+    )
+    packages = [(each, version_of(each.name)) for each in PACKAGES]
+    if arguments.json:
+        found = {
+            each.name: {"version": version or None, "without": "" if version else each.without}
+            for each, version in packages
+        }
+        print(json.dumps({**dict(facts), "packages": found}, indent=1, ensure_ascii=False))
+        return 0
+    rows = [*facts, *((each.name, version or f"not installed: {each.without}") for each, version in packages)]
+    width = max(len(name) for name, _ in rows)
+    print("\n".join(f"{name:<{width}}  {value}" for name, value in rows))
+    return 0

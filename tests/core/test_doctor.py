@@ -1,0 +1,72 @@
+"""`hnf doctor`: what is there, what is not, and what that costs; and what `hnf` alone, or a wrong command, says."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hnf_core
+from hnf_core.cli import doctor
+from hnf_core.cli.health import PACKAGES, Package
+from hnf_core.cli.main import main
+from hnf_core.field.weights import load_field
+from hnf_core.kernel.library import plainly
+
+
+def hnf(*words: str) -> int:
+    def no_blender(arguments: Any) -> int:
+        raise AssertionError("this needs no Blender")
+
+    return main(list(words), no_blender)
+
+
+def test_it_tells_versions_hashes_and_who_does_the_kernels_work(capsys: pytest.CaptureFixture[str]) -> None:
+    assert hnf("doctor", "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["hnf"], told["numpy"]) == (hnf_core.__version__, np.__version__)
+    assert told["Field"] == load_field().identity
+    assert len(told["Material library"]) == len(told["Weights for pictures"]) == 32
+    assert set(told["packages"]) == {each.name for each in PACKAGES}
+    assert all(bool(each["version"]) != bool(each["without"]) for each in told["packages"].values())
+    with plainly():
+        assert hnf("doctor") == 0
+    assert "using slower numpy version" in capsys.readouterr().out
+
+
+def test_a_missing_part_is_named_with_what_it_costs(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(doctor, "PACKAGES", (Package("no-such-package", "nothing is felt"),))
+    assert hnf("doctor") == 0
+    assert "no-such-package" in (said := capsys.readouterr().out)
+    assert "not installed: nothing is felt" in said
+
+
+def test_alone_it_shows_what_there_is_and_how_to_begin(capsys: pytest.CaptureFixture[str]) -> None:
+    assert hnf() == 2
+    told = capsys.readouterr()
+    assert told.err == ""
+    for words in ("COMMAND", "hnf touch scene.blend --plan", "hnf synth --material", "doctor"):
+        assert words in told.out
+    assert "VERB" not in told.out
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("probe", "hnf touch SCENE --out DIR --probe OBJECT:u,v"),
+        ("toch", "Did you mean 'touch'?"),
+        ("xyzzy", "Commands: touch, synth, "),
+    ],
+)
+def test_a_command_that_is_none_is_answered_with_what_does_it(
+    word: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert hnf(word, "--json") == 2
+    told = capsys.readouterr().err
+    assert told.startswith(f"hnf: there is no command '{word}'. ")
+    assert said in told
+    assert told.count("\n") == 1
