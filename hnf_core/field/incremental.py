@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..kernel.library import one_blas_thread_in_numpy
 from .audible import blocks_of, is_heard
 from .contact_filter import LEAD, TAIL
 from .field import Field, same_field
-from .in_numpy import one_blas_thread_in_numpy
 from .modulation import states_read
 from .noise_ahead import noise_ahead
 from .stroke import StrokeInput, Synthesis

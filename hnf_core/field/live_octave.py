@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..kernel.hop import Piece
+from ..kernel.library import one_blas_thread_in_numpy
 from .carriers import ARC_PER_OCTAVE, Carriers
 from .hops import ARC_CELLS, ARC_HOP, draw_arc_block, join_arc
-from .in_numpy import one_blas_thread_in_numpy
 
 Waves = NDArray[np.complex64]
 Kept = TypeVar("Kept")

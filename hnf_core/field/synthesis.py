@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..action.action import Action
 from ..cores import beside, cores
-from ..kernel.library import kernel
+from ..kernel.library import kernel, one_blas_thread_in_numpy
 from ..material.contact import tip_response
 from ..material.probe import PROBES
 from ..signal import Signal
@@ -27,7 +27,6 @@ from .contact_filter import LEAD, TAIL, FilterBank, filter_bank
 from .extrapolation import at_ceiling, examine
 from .field import Emission, Field, accumulate, evaluate
 from .hops import HOP
-from .in_numpy import one_blas_thread_in_numpy
 from .knots import Knots
 from .linear_contact import BAND_END_HZ, FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition, upper_fade
 from .modulation import arc_term

@@ -12,13 +12,15 @@ import struct
 import sys
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ..blas import one_blas_thread
 
 ABI = 6
 """hnf_kernel.h's HNF_ABI: another one has other functions."""
@@ -76,6 +78,11 @@ def plainly() -> Iterator[None]:
         yield
     finally:
         _plain.asked = before
+
+
+def one_blas_thread_in_numpy() -> AbstractContextManager[None]:
+    """one_blas_thread() where numpy does the kernel's work; the kernel asks no BLAS."""
+    return one_blas_thread() if kernel() is None else nullcontext()
 
 
 def address(array: NDArray[Any], dtype: Any, *, written: bool = False) -> int:
