@@ -302,7 +302,7 @@ def test_what_is_seen_and_no_surface_is_named_with_a_way_out(pen, desk):
     bpy.context.scene.collection.objects.link(bpy.data.objects.new("Hose", line))
     bpy.context.view_layer.update()
     assert not press(pen, desk, 110, 100)
-    assert pen.why_not.startswith("'Hose' is no mesh yet")
+    assert pen.why_not.startswith("'Hose' is not a mesh")
 
 
 def test_the_pen_follows_the_surface_and_knows_where_it_leaves_it(pen, desk):
