@@ -91,13 +91,15 @@ def render_closeups(
     pixels: int = 512,
     metres_per_unit: float = 1.0,
     frame: float | None = None,
+    view_layer: Any = None,
     samples: int | None = None,
 ) -> list[CloseUp]:
     """Close-ups of several patches of one object, on one temporary stage: one render a patch.
 
     obj: the touched object. patches: in its surface frame. surface, caster: of obj at frame, made here where not
     given. pixels: side of the square image, at most APPEARANCE_PIXELS where relief and colour show nothing.
-    metres_per_unit: of the user's scene. frame: scene frame, None = now.
+    metres_per_unit: of the user's scene. frame: scene frame, None = now. view_layer: of the scene that obj is touched
+    in, None = the first that it stands in.
     samples: also light the patch with a neutral dome and render the original shader with so many samples (rgb).
     Raises SceneError for a missing texture (naming object, material and image) and where there is no surface. The
     user's file is left as it was, also on errors.
@@ -111,12 +113,13 @@ def render_closeups(
             pixels=pixels,
             metres_per_unit=metres_per_unit,
             frame=frame,
+            view_layer=view_layer,
         )
     )
     if samples and made:
         from .picture import lit_pictures
 
-        pictures = lit_pictures(obj, [each.view.camera for each in made], samples, metres_per_unit, frame)
+        pictures = lit_pictures(obj, [each.view.camera for each in made], samples, metres_per_unit, frame, view_layer)
         made = [
             replace(each, view=replace(each.view, rgb=rgb), renders=each.renders + 1)
             for each, rgb in zip(made, pictures, strict=True)
@@ -133,6 +136,7 @@ def iter_closeups(
     pixels: int = 512,
     metres_per_unit: float = 1.0,
     frame: float | None = None,
+    view_layer: Any = None,
     first: int | None = None,
     alone: Callable[[], None] = lambda: None,
 ) -> Generator[CloseUp, None, None]:
@@ -149,7 +153,7 @@ def iter_closeups(
     with Temporary() as temporary:
         prepare_cycles(temporary.scene, samples=1)
         geometry_only(temporary.scene)
-        stage = set_stage(temporary, obj, metres_per_unit, frame, surface)
+        stage = set_stage(temporary, obj, metres_per_unit, frame, surface, view_layer)
         surface = stage.surface if caster is not None else within_reach(stage.surface, patches)
         caster = caster or ray_caster(surface.mesh)
         readings = {slot: tap_slot(stage, slot, where) for slot in sorted({patch.slot for patch in patches})}

@@ -67,12 +67,13 @@ def reads_of(obj: Any, materials: Iterable[Any]) -> Reads:
     return Reads(*names, worldly, generated, frozenset(info))
 
 
-def owner_text(obj: Any, scene: Any, materials: Iterable[Any], reads: Reads) -> str:
-    """What shaders find there, as text; "" where they read nothing of the object."""
-    return "".join(f"{part}\n" for part in _parts(obj, scene, materials, reads))
+def owner_text(obj: Any, view_layer: Any, materials: Iterable[Any], reads: Reads) -> str:
+    """What shaders find there, as text; "" where they read nothing of the object. view_layer: of the scene that obj is
+    touched in; it may stand in others too."""
+    return "".join(f"{part}\n" for part in _parts(obj, view_layer, materials, reads))
 
 
-def _parts(obj: Any, scene: Any, materials: Iterable[Any], reads: Reads) -> Iterator[str]:
+def _parts(obj: Any, view_layer: Any, materials: Iterable[Any], reads: Reads) -> Iterator[str]:
     if reads.worldly:
         yield repr([list(row) for row in obj.matrix_world])
     if reads.info & {"Color", "Alpha"}:
@@ -86,18 +87,25 @@ def _parts(obj: Any, scene: Any, materials: Iterable[Any], reads: Reads) -> Iter
     for name in sorted(reads.of_object):
         yield f"{name} {_property((obj, obj.data), name)!r}"
     for name in sorted(reads.of_scene):
-        yield f"{name} {_property((*scene.view_layers, scene, scene.world), name)!r}"
+        yield f"{name} {_property(_around(view_layer), name)!r}"
     if reads.generated:
         yield repr([list(getattr(obj.data, name, ())) for name in ("texspace_location", "texspace_size")])
 
 
-def dress(actor: Any, stage_scene: Any, obj: Any, scene: Any, reads: Reads) -> None:
-    """Give a stand-in for obj what the shaders on it read of obj and of its scene."""
+def dress(actor: Any, stage_scene: Any, obj: Any, view_layer: Any, reads: Reads) -> None:
+    """Give a stand-in for obj what the shaders on it read of obj and of its scene. view_layer: as for owner_text, None
+    where it stands in no scene."""
     actor.color, actor.pass_index = obj.color, obj.pass_index
     for name in reads.of_object:
         _give(actor, name, _property((obj, obj.data), name))
-    for name in reads.of_scene if scene is not None else ():
-        _give(stage_scene, name, _property((*scene.view_layers, scene, scene.world), name))
+    for name in reads.of_scene if view_layer is not None else ():
+        _give(stage_scene, name, _property(_around(view_layer), name))
+
+
+def _around(view_layer: Any) -> tuple[Any, ...]:
+    """Where an Attribute node looks for a property of the view layer, in this order."""
+    scene = view_layer.id_data
+    return view_layer, scene, scene.world
 
 
 def _give(block: Any, name: str, value: Any) -> None:

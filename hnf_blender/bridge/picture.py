@@ -157,12 +157,17 @@ def in_surface_frame(camera: Camera, surface: Surface) -> Camera:
 
 
 def lit_pictures(
-    obj: Any, cameras: Sequence[Camera], samples: int, metres_per_unit: float, frame: float | None
+    obj: Any,
+    cameras: Sequence[Camera],
+    samples: int,
+    metres_per_unit: float,
+    frame: float | None,
+    view_layer: Any = None,
 ) -> list[NDArray[np.float32]]:
     """(H, W, 3) linear pictures of obj alone under a neutral dome; cameras in its surface frame. One render each."""
     with Temporary() as temporary:
         prepare_cycles(temporary.scene, samples)
-        stage = set_stage(temporary, obj, metres_per_unit, frame)
+        stage = set_stage(temporary, obj, metres_per_unit, frame, view_layer=view_layer)
         add_dome(temporary.scene)
         camera_object = add_camera(temporary)
         temporary.scene.render.use_persistent_data = len(cameras) > 1

@@ -63,7 +63,7 @@ class PictureHashes:
         except HnfError:
             yield self._source
             return
-        yield owner_text(obj, self._scene, materials, reads)
+        yield owner_text(obj, self._scene.view_layers[0], materials, reads)
         yield from map(self._material, materials)
 
     def _material(self, material: Any) -> str:

@@ -45,20 +45,26 @@ class Stage:
 
 
 def set_stage(
-    temporary: Temporary, obj: Any, metres_per_unit: float, frame: float | None, surface: Surface | None = None
+    temporary: Temporary,
+    obj: Any,
+    metres_per_unit: float,
+    frame: float | None,
+    surface: Surface | None = None,
+    view_layer: Any = None,
 ) -> Stage:
     """Copy obj onto the stage: without rotation and translation, in metres, so that no place in the world can
     change a bit of what is rendered; at its true place where its shaders look at the world.
 
     frame: scene frame of an animated object, None = as it is now. surface: of obj at frame, made here where not
-    given. Raises SceneError where there is no surface.
+    given. view_layer: of the scene that obj is touched in, None = the first that it stands in. Raises SceneError where
+    there is no surface.
     """
     original = obj.original
     where = f"object '{original.name}'"
     flush_edits(original)
-    home = _home(original, temporary.scene)
+    home = view_layer or _home(original, temporary.scene)
     if frame is None and home is not None:
-        frame = float(home.frame_current_final)
+        frame = float(home.id_data.frame_current_final)
     temporary.link(original)
     try:
         depsgraph = temporary.evaluate(frame)
@@ -93,8 +99,9 @@ def set_stage(
 
 
 def _home(obj: Any, stage: Any) -> Any:
-    """A scene other than the stage that obj stands in, None = none."""
-    return next((scene for scene in obj.users_scene if scene.library is None and scene != stage), None)
+    """The first view layer of a scene other than the stage that obj stands in, None = none."""
+    scenes = (scene for scene in obj.users_scene if scene.library is None and scene != stage)
+    return next((scene.view_layers[0] for scene in scenes), None)
 
 
 def _is_deformed(obj: Any) -> bool:

@@ -42,7 +42,8 @@ class TouchedObject:
     owner_hash: of what its shaders read of the object beside its shape, "" = nothing. frame: scene frame, None = still.
     chosen: what the artist said on the materials themselves, by slot: library material, definition, "" = nothing.
     pictures: names of the textures that feed each slot's shader. splats: name of the file whose splats show the object,
-    "" = none. reliefs: by slot, whether its shader has a relief."""
+    "" = none. reliefs: by slot, whether its shader has a relief. view_layer: that it is touched in, of a scene that may
+    not be the only one it stands in."""
 
     obj: Any
     surface: Surface
@@ -55,6 +56,7 @@ class TouchedObject:
     pictures: tuple[tuple[str, ...], ...] = ()
     splats: str = ""
     reliefs: tuple[bool, ...] = ()
+    view_layer: Any = None
 
     def is_seen_in_splats(self, slot: int) -> bool:
         """A relief that the artist gave the surface counts for more than what its splats look like."""
@@ -139,6 +141,7 @@ def _closeups(
         pixels=PATCH_PIXELS,
         metres_per_unit=touched.metres_per_unit,
         frame=touched.frame,
+        view_layer=touched.view_layer,
         first=FIRST_PIXELS,
         alone=alone,
     )

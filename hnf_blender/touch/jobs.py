@@ -149,6 +149,7 @@ class Session:
                 pictures=facts.pictures,
                 splats=facts.splats,
                 reliefs=tuple(shown is Shows.RELIEF for shown in facts.shows),
+                view_layer=self.view_layer,
             )
         return self._touched[name]
 
@@ -171,7 +172,7 @@ class Session:
                 chosen=tuple("" if material is None else own_word(material) for material in slots),
                 shape_hash=mesh_hash(obj, self.depsgraph, self.metres_per_unit, reads.layers),
                 shader_hashes=tuple(material_hash(material, self.scene.frame_current) for material in slots),
-                owner_hash=owner_text(obj, self.scene, slots, reads) + owned,
+                owner_hash=owner_text(obj, self.view_layer, slots, reads) + owned,
                 shows=shown if cloud is None else tuple(_in_splats(each) for each in shown),
                 plainly=tuple(reads_plainly(material) for material in slots),
                 pictures=tuple(picture_names(material) for material in slots),
