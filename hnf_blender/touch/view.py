@@ -37,6 +37,8 @@ LEAST_SHARE = 0.08
 """A stroke shorter than this share of the picture's width is better seen by a camera of our own."""
 NEIGHBOURS, NEIGHBOUR_FACES = 40, 400_000
 """What else may stand in the picture: its cost must not follow the size of the scene."""
+AROUND_M = (0.012, 0.03)
+"""What a camera of our own shows beside a stroke: less of a short one, or it would be a speck."""
 LEAST_SEEN = 0.25
 """Of a stroke's points; with fewer in sight another view of it is looked for."""
 CUTS = 2
@@ -135,7 +137,8 @@ class Views:
         """By the scene's camera where it has the whole path in its frame, and by one of our own."""
         path = contacts.point @ surface.rigid[:3, :3].T + surface.rigid[:3, 3]
         outward = contacts.normal.mean(axis=0) @ surface.rigid[:3, :3].T
-        radius = 1.6 * float(np.linalg.norm(path - path.mean(axis=0), axis=1).max()) + 0.03
+        half = float(np.linalg.norm(path - path.mean(axis=0), axis=1).max())
+        radius = 1.6 * half + float(np.clip(2.5 * half, *AROUND_M))
         own = Shot(path, overview_camera(path, outward, radius, WIDTH, HEIGHT), radius)
         camera = self._scene_camera()
         return (own,) if camera is None or not shows(camera, path) else (Shot(path, camera, radius), own)

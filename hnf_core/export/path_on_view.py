@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,15 @@ if TYPE_CHECKING:
 
 TICKS_N = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 """Under the colour bar, which is the same in every picture; the last is its end."""
+DARK = "#10141a"
+FULL_SIZE_PX = 130.0
+"""Of the finished picture: a stroke that reaches less far is drawn with a finer line and smaller marks, or they would
+cover it."""
+LEAST_SIZE = 0.3
+DOT_PX = 8.0
+"""Below this a stroke is a dot."""
+HEAD_PX = 17.0
+MOST_HEADS = 4
 FINE_N = 0.25
 """Above this the bar runs by the force's logarithm, below it nearly evenly: most strokes are of 0.3 to 3 N."""
 
@@ -45,28 +55,38 @@ def draw_path(figure: Figure, axes: Axes, view: StrokeView, bar: tuple[float, fl
 
     path, force = np.asarray(view.path, dtype=np.float64), np.asarray(view.force, dtype=np.float64)
     seen = np.ones(len(path), bool) if view.visible is None else np.asarray(view.visible, bool)
+    scale = axes.get_window_extent().width / view.rgb.shape[1]
+    extent = float(np.linalg.norm(np.ptp(path, axis=0))) * scale if len(path) else 0.0
+    size = float(np.clip(extent / FULL_SIZE_PX, LEAST_SIZE, 1.0))
     clear = seen[:-1] & seen[1:]
     pieces = np.stack([path[:-1], path[1:]], axis=1)[clear] if len(path) > 1 else np.zeros((0, 2, 2))
     shade = (0.5 * (force[:-1] + force[1:]))[clear]
-    for width, colour, alpha in ((9.0, "white", 0.9), (6.6, "#10141a", 1.0)):
-        casing = LineCollection(list(pieces), colors=colour, linewidths=width, capstyle="round", alpha=alpha)
+    for width, colour, alpha in ((9.0, "white", 0.9), (6.6, DARK, 1.0)):
+        casing = LineCollection(list(pieces), colors=colour, linewidths=size * width, capstyle="round", alpha=alpha)
         axes.add_collection(casing)
-    line = LineCollection(list(pieces), colors=_colours(shade), linewidths=4.6, capstyle="round")
+    line = LineCollection(list(pieces), colors=_colours(shade), linewidths=4.6 * size, capstyle="round")
     axes.add_collection(line)
     for run in _runs(~clear):
         x, y = path[run.start : run.stop + 1].T
-        axes.plot(x, y, color="#10141a", lw=3.4, ls=(0, (1.6, 1.6)), dash_capstyle="round")
+        axes.plot(x, y, color=DARK, lw=3.4, ls=(0, (1.6, 1.6)), dash_capstyle="round")
         axes.plot(x, y, color="white", lw=1.8, ls=(0, (3.02, 3.02)), dash_capstyle="round")
-    _draw_arrow(axes, path)
+    legs = _legs(path)
+    pressed = extent < DOT_PX
+    if not pressed:
+        _draw_heads(axes, path, legs, HEAD_PX * size / scale, 1.6 * size)
     if len(path):
-        axes.plot(path[:1, 0], path[:1, 1], "o", ms=13, mfc="white", mec="#10141a", mew=2.2, zorder=5)
+        face = force_colour(float(np.max(force, initial=0.0))) if pressed else "white"
+        wide = 13.0 if pressed else 13.0 * size
+        axes.plot(path[:1, 0], path[:1, 1], "o", ms=wide, mfc=face, mec=DARK, mew=max(2.2 * size, 0.8), zorder=5)
     _draw_bar(figure.add_axes(bar))
-    marks = [
-        Line2D([], [], marker="o", ms=9, mfc="white", mec="#10141a", mew=1.8, ls="", label="start"),
-        Line2D([], [], marker=">", ms=9, mfc="white", mec="#10141a", mew=1.8, ls="", label="direction"),
-    ]
+    start = "pressed here, colour of the strongest" if pressed else "start"
+    marks = [Line2D([], [], marker="o", ms=9, mfc="white", mec=DARK, mew=1.8, ls="", label=start)]
+    if not pressed:
+        turns = len(legs) - 1
+        said = "direction" + (f", turns {'once' if turns == 1 else f'{turns} times'}" if turns else "")
+        marks.append(Line2D([], [], marker=">", ms=9, mfc="white", mec=DARK, mew=1.8, ls="", label=said))
     if not seen.all():
-        marks.append(Line2D([], [], color="#10141a", lw=2.5, ls=(0, (1.6, 1.6)), label="hidden from this view"))
+        marks.append(Line2D([], [], color=DARK, lw=2.5, ls=(0, (1.6, 1.6)), label="hidden from this view"))
     axes.legend(handles=marks, loc="upper right", ncols=len(marks), framealpha=0.85, edgecolor="none", fontsize=9.5)
 
 
@@ -89,31 +109,36 @@ def _colours(force: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.array([force_colour(float(each)) for each in force]).reshape(-1, 4)
 
 
-def _draw_arrow(axes: Axes, path: NDArray[np.float64]) -> None:
-    """An arrow head half way, and one near the end, along the path as it runs there."""
-    steps = np.linalg.norm(np.diff(path, axis=0), axis=1) if len(path) > 1 else np.zeros(0)
-    length = np.concatenate([[0.0], np.cumsum(steps)])
-    if length[-1] < 12.0:
-        return
-    for share in (0.5, 0.97):
-        at, back = np.interp([share * length[-1], share * length[-1] - 6.0], length, np.arange(len(path)))
-        tip, tail = (np.array([np.interp(k, np.arange(len(path)), path[:, i]) for i in (0, 1)]) for k in (at, back))
-        if np.allclose(tip, tail):
-            continue
-        axes.annotate(
-            "",
-            xy=(tip[0], tip[1]),
-            xytext=(tail[0], tail[1]),
-            arrowprops={
-                "arrowstyle": "-|>,head_width=0.62,head_length=0.85",
-                "fc": "white",
-                "ec": "#10141a",
-                "lw": 1.8,
-                "mutation_scale": 16,
-                "shrinkA": 0,
-                "shrinkB": 0,
-            },
-        )
+def _legs(path: NDArray[np.float64]) -> list[slice]:
+    """The path's points from turn to turn: where the hand goes back on its way."""
+    steps = np.diff(path, axis=0)
+    moving = np.flatnonzero(np.linalg.norm(steps, axis=1) > 1e-9)
+    if not len(moving):
+        return [slice(0, len(path))]
+    back = np.einsum("ij,ij->i", steps[moving[:-1]], steps[moving[1:]]) < 0.0
+    edges = [0, *(int(each) for each in moving[1:][back]), len(path) - 1]
+    return [slice(low, high + 1) for low, high in itertools.pairwise(edges)]
+
+
+def _draw_heads(axes: Axes, path: NDArray[np.float64], legs: list[slice], size: float, line_pt: float) -> None:
+    """Arrow heads of size (pixels of the view) along the path: half way and at the end of a long leg, else past the
+    middle of each of the first legs; none lies on another or on the start."""
+    from matplotlib.patches import Polygon
+
+    taken = [path[0]]
+    for leg in legs[:MOST_HEADS]:
+        way = path[leg]
+        length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
+        for share in (0.5, 1.0) if len(legs) == 1 and length[-1] > 8.0 * size else (0.7,):
+            at = [max(share * length[-1] - back, 0.0) for back in (0.0, size)]
+            tip, tail = (np.array([np.interp(each, length, way[:, axis]) for axis in (0, 1)]) for each in at)
+            ahead = (tip - tail) / max(float(np.linalg.norm(tip - tail)), 1e-9)
+            if length[-1] < 2.0 * size or any(np.linalg.norm(tip - other) < 1.5 * size for other in taken):
+                continue
+            taken.append(tip)
+            side = 0.55 * size * np.array([-ahead[1], ahead[0]])
+            corners = np.stack([tip, tip - size * ahead + side, tip - size * ahead - side])
+            axes.add_patch(Polygon(corners, fc="white", ec=DARK, lw=line_pt, joinstyle="round", zorder=4))
 
 
 def _runs(flags: NDArray[np.bool_]) -> list[slice]:

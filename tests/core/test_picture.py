@@ -104,6 +104,32 @@ def test_a_force_has_the_same_colour_whatever_the_strongest_is(tmp_path: Path, s
     assert len(np.unique(drawn[534, 45:790].round(2), axis=0)) > 100
 
 
+def drawn_at(picture: np.ndarray, seen: StrokeView) -> np.ndarray:
+    """(n, 3) the picture's colour where each point of the path lies in it; for a view of 768 × 432."""
+    column, row = (np.array([40.0, 85.0]) + seen.path * 760.0 / 768.0).astype(int).T
+    return picture[row, column]
+
+
+@pytest.mark.parametrize(
+    "way",
+    [np.linspace(-0.5, 0.5, 101), 0.5 * np.sin(np.linspace(0.0, 5.5 * np.pi, 101))],
+    ids=["one way", "back and forth"],
+)
+@pytest.mark.parametrize("length_px", [24.0, 60.0, 400.0])
+def test_marks_leave_a_stroke_to_be_seen_however_short_it_is(tmp_path: Path, way: np.ndarray, length_px: float) -> None:
+    path = np.stack([380.0 + length_px * way, np.full(101, 220.0)], axis=1)
+    seen = StrokeView(np.full((432, 768, 3), 0.2, np.float32), path, np.full(101, 2.0))
+    stroke_picture(tmp_path / "a.png", title="A", action=action(), signal=signal(), view=seen)
+    shown = np.abs(drawn_at(pixels(tmp_path / "a.png"), seen) - force_colour(2.0)[:3]).max(axis=1) < 0.1
+    assert shown.mean() > 0.4
+
+
+def test_a_press_has_the_colour_of_its_strongest_force(tmp_path: Path) -> None:
+    seen = StrokeView(np.full((432, 768, 3), 0.2, np.float32), np.full((3, 2), 200.0), np.array([0.0, 4.0, 0.0]))
+    stroke_picture(tmp_path / "a.png", title="A", action=action(3), signal=signal(), view=seen)
+    assert np.abs(drawn_at(pixels(tmp_path / "a.png"), seen)[0] - force_colour(4.0)[:3]).max() < 0.02
+
+
 def test_hidden_parts_are_not_drawn_as_visible(tmp_path: Path) -> None:
     stroke_picture(tmp_path / "a.png", title="A", action=action(), signal=signal(), view=view())
     hidden = StrokeView(view().rgb, view().path, view().force, np.zeros(101, bool))
