@@ -28,24 +28,6 @@ def interpolate(amplitude: Float, start: int, count: int) -> Float:
     return np.asarray(between[:, start - first * SAMPLES_PER_STATE :][:, :count].T)
 
 
-def time_term(
-    amplitude: Float, carriers: Carriers, seed: int, start: int, count: int, delay: int = 0, origin: int = 0
-) -> Float:
-    """Σ_k A_k(t) c_k(t + origin − delay) over the time carriers; amplitude (n, Kt), returns (count,)."""
-    out = np.zeros(count)
-    state, share = _place(len(amplitude), start, count)
-    for first, last in _loud_stretches(amplitude, state):
-        wave = carriers.time_samples(seed, origin + start + first - delay, last - first)
-        stretch = slice(first, last)
-        # Grouped by state, A is constant: two small products in place of one amplitude per sample and band.
-        for low in range(int(state[first]), int(state[last - 1]) + 1):
-            inside = slice(*np.searchsorted(state[stretch], (low, low + 1)))
-            pair = amplitude[low : low + 2] @ wave[:, inside]
-            fade = share[stretch][inside]
-            out[stretch][inside] = pair[0] * (1.0 - fade) + pair[1] * fade
-    return out
-
-
 def arc_term(amplitude: Float, carriers: Carriers, source: ArcSource, place: Float, start: int) -> Float:
     """Σ_k A_k(t) c_k(s(t)) over the arc carriers.
 
@@ -55,10 +37,10 @@ def arc_term(amplitude: Float, carriers: Carriers, source: ArcSource, place: Flo
     """
     count = len(place)
     out = np.zeros(count)
-    state, share = _place(len(amplitude), start, count)
+    state, share = place_between(len(amplitude), start, count)
     for octave in range(carriers.arc_octaves):
         bands = slice(octave * ARC_PER_OCTAVE, (octave + 1) * ARC_PER_OCTAVE)
-        for first, last in _loud_stretches(amplitude[:, bands], state):
+        for first, last in loud_stretches(amplitude[:, bands], state):
             stretch = slice(first, last)
             out[stretch] += _octave_term(
                 amplitude[:, bands], carriers.arc_step_m(octave), octave, source, place[stretch],
@@ -104,17 +86,18 @@ def lagrange(t: Float) -> tuple[Float, Float, Float, Float]:
 
 def states_read(states: int, start: int, count: int) -> slice:
     """The states between which samples start … start + count − 1 of the model rate lie; at least two."""
-    state, _ = _place(states, start, count)
+    state, _ = place_between(states, start, count)
     return slice(int(state[0]), int(state[-1]) + 2) if count > 0 else slice(0, 0)
 
 
-def _place(states: int, start: int, count: int) -> tuple[NDArray[np.intp], Float]:
+def place_between(states: int, start: int, count: int) -> tuple[NDArray[np.intp], Float]:
+    """Of samples start … start + count − 1: the state before each, and its share of the way to the next."""
     sample = start + np.arange(count)
     state = np.clip(sample // SAMPLES_PER_STATE, 0, states - 2)
     return state, np.clip(sample / SAMPLES_PER_STATE - state, 0.0, 1.0)
 
 
-def _loud_stretches(amplitude: Float, state: NDArray[np.intp]) -> list[tuple[int, int]]:
+def loud_stretches(amplitude: Float, state: NDArray[np.intp]) -> list[tuple[int, int]]:
     """Sample ranges in which an amplitude is not zero: nothing is computed where there is no contact."""
     if len(state) == 0:
         return []

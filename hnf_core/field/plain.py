@@ -9,11 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..action.action import Action
-from ..kernel import hop as kernel_hop
-from ..kernel.library import kernel
 from .carriers import Carriers
-from .modulation import arc_term, interpolate, time_term
-from .timeline import SAMPLES_PER_STATE, cubic, cubic_samples
+from .modulation import arc_term, interpolate, loud_stretches, place_between
+from .path import position
 
 Float = NDArray[np.float64]
 
@@ -37,20 +35,19 @@ def plain_texture(
     return out
 
 
-def position(action: Action, start: int, count: int) -> Float:
-    """s(t) [m] at samples start … of the model rate, held beyond the stroke."""
-    return cubic_samples(action.position, start, count)
-
-
-def position_beyond(action: Action, start: int, count: int) -> Float:
-    """position() that goes on as fast as it began and ended, for filters that look beyond the stroke."""
-    compiled = kernel()
-    if compiled is not None:
-        path = np.ascontiguousarray(action.position, dtype=np.float64)
-        return kernel_hop.place(compiled, path, SAMPLES_PER_STATE, start, count)
-    sample = start + np.arange(count)
-    last = (len(action.position) - 1) * SAMPLES_PER_STATE
-    ends = cubic(action.position, np.array([0.0, 1.0, last - 1.0, last]) / SAMPLES_PER_STATE)
-    speed = np.where(sample < 0, ends[1] - ends[0], ends[3] - ends[2])
-    beyond = sample - np.clip(sample, 0, last)
-    return np.asarray(position(action, start, count) + beyond * speed)
+def time_term(
+    amplitude: Float, carriers: Carriers, seed: int, start: int, count: int, delay: int = 0, origin: int = 0
+) -> Float:
+    """Σ_k A_k(t) c_k(t + origin − delay) over the time carriers; amplitude (n, Kt), returns (count,)."""
+    out = np.zeros(count)
+    state, share = place_between(len(amplitude), start, count)
+    for first, last in loud_stretches(amplitude, state):
+        wave = carriers.time_samples(seed, origin + start + first - delay, last - first)
+        stretch = slice(first, last)
+        # Grouped by state, A is constant: two small products in place of one amplitude per sample and band.
+        for low in range(int(state[first]), int(state[last - 1]) + 1):
+            inside = slice(*np.searchsorted(state[stretch], (low, low + 1)))
+            pair = amplitude[low : low + 2] @ wave[:, inside]
+            fade = share[stretch][inside]
+            out[stretch][inside] = pair[0] * (1.0 - fade) + pair[1] * fade
+    return out

@@ -31,7 +31,8 @@ from .knots import Knots
 from .linear_contact import BAND_END_HZ, FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition, upper_fade
 from .modulation import arc_term
 from .noise_ahead import noise_ahead
-from .plain import plain_texture, position, position_beyond
+from .path import position, position_beyond
+from .plain import plain_texture
 from .profile import ProfileBands, share_power, split_profile
 from .resampling import resample
 from .stroke import StrokeInput, Synthesis

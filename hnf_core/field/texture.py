@@ -1,4 +1,4 @@
-"""The carriers, modulated, hop by hop: the fast twin of modulation.time_term and modulation.arc_term.
+"""The carriers, modulated, hop by hop: the fast twin of plain.time_term and modulation.arc_term.
 
 Between two knots the amplitudes are linear in time, so the bands are summed once per knot, in a product of matrices,
 and what is left for a sample is two readings. What is slow is read at a half or a quarter of the rate and brought

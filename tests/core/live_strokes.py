@@ -11,8 +11,8 @@ from hnf_core.field import texture
 from hnf_core.field.knots import Knots
 from hnf_core.field.live import LiveSynthesis
 from hnf_core.field.live_state import LiveState
-from hnf_core.field.modulation import time_term
-from hnf_core.field.plain import plain_texture, position
+from hnf_core.field.path import position
+from hnf_core.field.plain import plain_texture, time_term
 from hnf_core.field.stroke import StrokeInput, uniform_stroke
 from hnf_core.field.synthesis import contact_term, prepare
 from hnf_core.field.weights import load_field

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from normal_noise import normal_block
 
 from hnf_core.field.carriers import ARC_PER_OCTAVE, MODEL_RATE_HZ, TIME_BLOCK, Carriers
-from hnf_core.field.modulation import arc_term, interpolate, time_term
+from hnf_core.field.modulation import arc_term, interpolate
 from hnf_core.field.noise import crossfade_window
+from hnf_core.field.plain import time_term
 from hnf_core.metrics.spectra import welch
 
 CARRIERS = Carriers()

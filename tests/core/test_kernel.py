@@ -25,7 +25,7 @@ from hnf_core.field.hops import arc_hop, time_hop
 from hnf_core.field.knots import Knots
 from hnf_core.field.linear_contact import linear_contact
 from hnf_core.field.noise import band_bins, bins_of, crossfade_window
-from hnf_core.field.plain import position_beyond
+from hnf_core.field.path import position_beyond
 from hnf_core.field.synthesis import prepare, rendered
 from hnf_core.field.texture import REACH, texture_hops
 from hnf_core.field.timeline import condition_at, states_of

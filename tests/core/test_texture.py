@@ -16,7 +16,8 @@ from hnf_core.field.carriers import ARC_BLOCK, Carriers
 from hnf_core.field.hops import ARC_HOP, CELL, HOP, MARGINS, MIDDLE, arc_hop, time_hop, time_levels
 from hnf_core.field.knots import Knots
 from hnf_core.field.noise import band_bins, band_spectra, bins_of
-from hnf_core.field.plain import plain_texture, position_beyond
+from hnf_core.field.path import position_beyond
+from hnf_core.field.plain import plain_texture
 from hnf_core.field.texture import REACH, texture_hops
 from hnf_core.field.timeline import SAMPLES_PER_STATE
 from hnf_core.kernel.library import plainly
