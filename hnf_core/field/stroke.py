@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +14,7 @@ from ..material.mechanics import MECHANICS_LIMITS, Mechanics
 from ..material.probe import PROBES
 from ..material.token import LARGEST_VALUE, TOKEN_DIM
 from ..signal import Signal
-
-if TYPE_CHECKING:
-    from .field import Field
+from .field import Field
 
 LIMITS = {
     "action rate [Hz]": (1e-3, 1e6),
