@@ -40,8 +40,8 @@ class HNF_PT_strokes(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa
                 layout,
                 context,
                 tr(
-                    "Take the tool and drag over a surface: pen pressure becomes force. Or add a ready stroke to the "
-                    "selected mesh"
+                    "Take the Stroke Tool and drag over a surface: pen pressure becomes force. Or lay one of the Ready "
+                    "Strokes on the selected mesh"
                 ),
             )
             return

@@ -30,6 +30,7 @@ from hnf_blender.preview.present import present
 from hnf_blender.preview.stroke_bake import load_bake
 from hnf_blender.state.session import STATE
 from hnf_blender.state.settings import Settings
+from hnf_blender.ui.materials_panel import draw_learn
 from hnf_blender.ui.outside_python import draw_outside_python
 from hnf_core.cli.learn import GATHERING, Lesson
 from hnf_core.datasets.catalogue import LICENCES
@@ -156,6 +157,15 @@ def test_the_preferences_say_what_was_found_and_diagnose_too(tmp_path, name_pyth
     assert "It lacks" not in again.words
     with pytest.raises(RuntimeError, match="lacks a package"):
         bpy.ops.hnf.learn_run(kind="simulated", library="oak-wood")
+
+
+def test_the_panel_has_the_button_once_a_python_is_set(name_python) -> None:
+    shown = []
+    for path in ("", "/anywhere/python"):
+        name_python(path)
+        draw_learn(layout := Recorder())
+        shown.append(layout.operators)
+    assert shown == [[], ["hnf.learn"]]
 
 
 def test_without_a_python_the_button_says_why(lone_bake) -> None:
