@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from ..action.action import Action
 from ..baselines.method import Fitted, Form, Specimen
 from ..errors import UsageError
-from ..field.expected_magnitude import synthesise_expected_magnitude
 from ..field.field import Field
 from ..field.stroke import uniform_stroke
 from ..field.synthesis import synthesise
 from ..material.mechanics import Mechanics
 from ..material.token import TOKEN_DIM
+from .expected_magnitude import synthesise_expected_magnitude
 
 Float = NDArray[np.float64]
 _SEEDS_A_CALL = 1000

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from ..action.action import Action
 from ..datasets.recording import Process
 from ..datasets.simulated import SimulatedLibrary
-from ..field.expected_magnitude import expected_densities
 from ..field.features import normalised_tokens
 from ..field.field import Field
 from ..field.stroke import uniform_stroke
@@ -23,6 +22,7 @@ from ..material.library import find
 from ..material.mechanics import Mechanics
 from ..metrics.average_spectrum import average_spectrum_distance_db, power_bias_db
 from ..metrics.spectra import welch
+from .expected_magnitude import expected_densities
 from .reference import FREQUENCY_HZ, RATE_HZ
 from .report import Extra
 

@@ -11,6 +11,7 @@ from evaluation_stubs import LIMITS, GaussianTexture, Perfect, gaussian
 from hnf_core.action.smooth import steady_action
 from hnf_core.errors import UsageError
 from hnf_core.evaluation.direction import by_direction
+from hnf_core.evaluation.expected_magnitude import expected_magnitude_signal
 from hnf_core.evaluation.materials import Judged, Sizes, Subject, cells_of, column, judge
 from hnf_core.evaluation.methods import Budget, Entry, chosen, entries
 from hnf_core.evaluation.reference import Reference, references
@@ -18,7 +19,6 @@ from hnf_core.evaluation.report import Report, summary
 from hnf_core.evaluation.score import METRICS, score_best, score_expected_magnitude, score_natural
 from hnf_core.evaluation.strokes import diet_actions, trials
 from hnf_core.evaluation.tables import markdown
-from hnf_core.field.expected_magnitude import expected_magnitude_signal
 from hnf_core.metrics.spectra import welch
 
 SIZES = Sizes(2.0, 32, 4, 4.0, 1, 1, 2)

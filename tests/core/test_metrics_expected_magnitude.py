@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from hnf_core.action.smooth import steady_action, wandering_action
-from hnf_core.field.expected_magnitude import (
+from hnf_core.evaluation.expected_magnitude import (
     expected_densities,
     expected_magnitude_signal,
     synthesise_expected_magnitude,

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...field.expected_magnitude import window_densities
 from ...field.field import Field, evaluate, steady_amplitude
 from ...field.linear_contact import Condition as States
 from ...material.mechanics import Mechanics
 from ...metrics.average_spectrum import counted_bins
 from ...training.conditions import middle_conditions, speed_grid
+from ..expected_magnitude import window_densities
 from ..reference import FREQUENCY_HZ
 
 Float = NDArray[np.float64]

@@ -9,12 +9,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..field.carriers import MODEL_RATE_HZ, Carriers
+from ..field.field import Field, accumulate, evaluate
+from ..field.stroke import StrokeInput
+from ..field.timeline import condition_of, sample_count, states_of
 from ..metrics.magnitudes import BINS
 from ..metrics.spectra import WINDOW, hann
-from .carriers import MODEL_RATE_HZ, Carriers
-from .field import Field, accumulate, evaluate
-from .stroke import StrokeInput
-from .timeline import condition_of, sample_count, states_of
 
 Float = NDArray[np.float64]
 
