@@ -66,9 +66,9 @@ def tick() -> float:
         return INTERVAL_S
     if any(picked.hold(window.scene) for window in windows):
         redraw_tab()
-    if not (STATE.dirty or STATE.strokes):
+    if not (STATE.dirty or any(STATE.statuses.values())):
         return INTERVAL_S
-    if (STATE.strokes or any(listed_strokes(window.scene) for window in windows)) and not is_ready():
+    if (any(STATE.statuses.values()) or any(listed_strokes(window.scene) for window in windows)) and not is_ready():
         return INTERVAL_S
     if drain((window.scene, window.view_layer) for window in windows):
         redraw_tab()

@@ -10,7 +10,7 @@ from typing import Any
 
 from hnf_core.errors import HnfError
 
-from ..bridge.scene_names import named_objects
+from ..bridge.scene_names import name_in, named_objects
 from ..bridge.splat_cloud import cloud_of, require_writable, write_point_tokens
 from ..bridge.storage import FaceTokens, write_tokens
 from ..preview.stroke_bake import StrokeBake
@@ -213,7 +213,9 @@ def _write(ready: _Ready, scene: Any) -> Committed:
     for uid, bake, inputs in ready.strokes:
         obj = objects[uid]
         keep(obj, bake, inputs)
-        STATE.strokes[obj.name] = status_of(bake, Freshness.FRESH)
+        STATE.strokes_in(scene)[name_in(scene, obj)] = status_of(bake, Freshness.FRESH)
+        if len(STATE.statuses) > 1:
+            STATE.dirty.add(obj.name)  # where it stands in another scene too, it may be stale there
         done.strokes.append(obj.name)
     for uid, tokens in ready.meshes:
         write_tokens(objects[uid].data, tokens)

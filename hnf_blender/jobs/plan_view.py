@@ -26,16 +26,16 @@ FACE_BYTES, PALETTE_BYTES = 12, 1_000
 
 
 def make_plan(scene: Any, view_layer: Any) -> PlanView:
-    """The plan of all strokes that are heard; fills STATE.strokes on the way."""
+    """The plan of all strokes that are heard; fills STATE.strokes_in(scene) on the way."""
     session = scene_session(scene, view_layer, Path())
     found = gather_curves(session, stroke_objects(scene))
     look_around(session, found)
     lines: list[PlanLine] = []
-    stroke = tr("stroke '{name}'")
+    stroke, statuses = tr("stroke '{name}'"), STATE.strokes_in(scene)
     seconds, needed = 0.0, []
     estimated: dict[str, None] = {}
     for job in found.jobs:
-        status = STATE.strokes[job.curve_name] = judge(object_in(scene, job.curve_name), job)
+        status = statuses[job.curve_name] = judge(object_in(scene, job.curve_name), job)
         if status.freshness is Freshness.FORCE or is_done(session, job):
             lines.append(PlanLine("fresh", stroke.format(name=job.name), status.why))
             continue
@@ -50,7 +50,7 @@ def make_plan(scene: Any, view_layer: Any) -> PlanView:
     if needed:
         seconds += START_SECONDS
     for failure in found.failed:
-        STATE.strokes[failure.stroke] = StrokeStatus(Freshness.BROKEN, failure.why)
+        statuses[failure.stroke] = StrokeStatus(Freshness.BROKEN, failure.why)
         lines.append(PlanLine("failed", stroke.format(name=failure.stroke), failure.why))
     lines += [PlanLine("skipped", each.what, tr(each.why)) for each in found.skipped]
     lines += [PlanLine("note", note, "") for note in found.notes]

@@ -46,8 +46,9 @@ def purge(scene: Any, view_layer: Any, *, everything: bool) -> Freed:
         for obj in bpy.data.objects:
             if obj.library is None and stored_bytes(obj) and (session is None or _is_outgrown(session, obj)):
                 freed += forget(obj)
-                if obj.name in STATE.strokes:
-                    STATE.strokes[obj.name] = StrokeStatus(Freshness.UNBAKED, tr("Not baked yet."))
+                for statuses in STATE.statuses.values():
+                    if obj.name in statuses:
+                        statuses[obj.name] = StrokeStatus(Freshness.UNBAKED, tr("Not baked yet."))
         for mesh in bpy.data.meshes:
             if mesh.library is None and SCHEMA_PROPERTY in mesh and (session is None or _is_old(session, mesh)):
                 try:

@@ -51,7 +51,7 @@ def felt_object(context: Any) -> Any:
         return None
     if stroke.hnf_stroke.surface is not None:
         return surface_here(context, stroke)
-    status = STATE.strokes.get(stroke.name)
+    status = STATE.status_of(context.scene, stroke)
     return None if status is None else object_in(context.scene, status.object_name)
 
 

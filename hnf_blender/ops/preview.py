@@ -29,7 +29,7 @@ def can_be_heard(cls: Any, context: Any) -> bool:
     stroke = active_stroke(context)
     if not has(stroke, BAKE_PROPERTY):
         return greyed(cls, NOT_BAKED)
-    status = STATE.strokes.get(stroke.name)
+    status = STATE.status_of(context.scene, stroke)
     if status is not None and status.freshness in (Freshness.STALE, Freshness.BROKEN):
         return greyed(cls, status.why or "Changed since it was baked: bake it again")
     return True

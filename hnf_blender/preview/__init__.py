@@ -145,7 +145,7 @@ def _look(context: Any, heard: set[str], ended: bool, *, is_first: bool) -> None
     seen = (
         STATE.changes, active and active.name, active and current.look_of(context), actuator_of(scene),
         settings.monitor_gain_db,
-        tuple((name, status.freshness, status.why) for name, status in STATE.strokes.items()),
+        tuple((name, status.freshness, status.why) for name, status in STATE.strokes_in(scene).items()),
     )  # fmt: skip
     if seen != looked.seen:
         looked.seen = seen

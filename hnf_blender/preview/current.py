@@ -143,9 +143,9 @@ def switch_kept(name: str) -> bool:
     return True
 
 
-def problem_of(name: str) -> str:
-    """Why the preview of a stroke is not true, "" where it is."""
-    status = STATE.strokes.get(name)
+def problem_of(name: str, scene: Any) -> str:
+    """Why the preview of a scene's stroke is not true, "" where it is."""
+    status = STATE.strokes_in(scene).get(name)
     if status is not None and status.freshness in NOT_TRUE:
         return status.why
     return PREVIEW.problems.get(name, "")
@@ -156,14 +156,16 @@ def tell(name: str, scene: Any) -> PreviewFacts:
     shown, profile = PREVIEW.shown(name), actuator_of(scene)
     asked = PREVIEW.asked.get(name)
     newest = PREVIEW.heard.get(name)
-    busy = asked is not None and (newest is None or (newest.stamp, newest.look) != asked) and not problem_of(name)
+    busy = (
+        asked is not None and (newest is None or (newest.stamp, newest.look) != asked) and not problem_of(name, scene)
+    )
     common = {
         "shows": "A" if name in PREVIEW.on_kept else "now",
         "has_kept": name in PREVIEW.kept,
         "busy": busy,
         "playing": PREVIEW.sounding == name and PLAYER.is_playing,
         "paused": PREVIEW.sounding == name and PLAYER.is_paused,
-        "problem": problem_of(name),
+        "problem": problem_of(name, scene),
     }
     if shown is None:
         facts = PreviewFacts(name, **common)  # type: ignore[arg-type]

@@ -39,7 +39,7 @@ def true_signal(obj: Any, context: Any) -> Signal:
 
     name = name_in(context.scene, obj)
     refresh_status(context.scene, [name], context.view_layer)
-    status, where = STATE.strokes.get(name), f"stroke '{name}'"
+    status, where = STATE.status_of(context.scene, obj), f"stroke '{name}'"
     if status is None or status.freshness not in (Freshness.FRESH, Freshness.FORCE):
         why = status.why if status is not None else "it is not in this scene."
         # Other reasons say what to do.
@@ -189,7 +189,7 @@ def add_speaker_of(obj: Any, context: Any) -> Any:
         bpy.data.objects.remove(other)
         if data.users == 0:
             bpy.data.speakers.remove(data)
-    surface = object_in(scene, STATE.strokes[name_in(scene, obj)].object_name)
+    surface = object_in(scene, STATE.strokes_in(scene)[name_in(scene, obj)].object_name)
     speaker = add_speaker(sound, f"{obj.name} speaker", tuple(place), float(obj.hnf_stroke.start), surface)
     _belongs(speaker, obj, scene)
     speaker.data.volume = min(monitor_factor(scene.hnf.monitor_gain_db), 1.0)

@@ -129,7 +129,7 @@ def placed_strokes(scene: Any) -> list[Any]:
     placed = []
     for obj in listed_strokes(scene):
         shown = PREVIEW.shown(obj.name)
-        if shown is not None and not obj.hnf_stroke.mute and not problem_of(obj.name):
+        if shown is not None and not obj.hnf_stroke.mute and not problem_of(obj.name, scene):
             placed.append(Placed(float(obj.hnf_stroke.start), shown.signal.samples, shown.signal.sample_rate))
     return placed
 

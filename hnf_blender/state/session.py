@@ -4,7 +4,9 @@ the .blend. Blender data is named, never referenced: a reference dies with the n
 from __future__ import annotations
 
 from enum import Enum
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from ..bridge.scene_names import name_in
 
 if TYPE_CHECKING:
     from hnf_core.material.prior import Suggestion
@@ -85,7 +87,8 @@ class PlanView(NamedTuple):
 
 
 class SessionState:
-    """strokes: by stroke object name. dirty: names of datablocks changed since their strokes were looked at.
+    """statuses: by the session_uid of the scene, see strokes_in.
+    dirty: names of datablocks changed since their strokes were looked at.
     suggestions: by the full name of the Blender material, the most apt first. reliefs: by that name too, as seen where
     a place of it was examined. diagnosis: (name, value) as last collected. heard: something was played since Blender
     started. probe: the last place that was looked at.
@@ -93,7 +96,7 @@ class SessionState:
     changes: counts what people changed, undo and redo included. own: above 0 while the add-on itself changes things."""
 
     def __init__(self) -> None:
-        self.strokes: dict[str, StrokeStatus] = {}
+        self.statuses: dict[int, dict[str, StrokeStatus]] = {}
         self.dirty: set[str] = set()
         self.job: JobStatus | None = None
         self.last_job: LastJob | None = None
@@ -107,9 +110,18 @@ class SessionState:
         self.changes = 0
         self.own = 0
 
+    def strokes_in(self, scene: Any) -> dict[str, StrokeStatus]:
+        """Of a scene's strokes, by the names that it calls them (name_in). A stroke that stands in two scenes may be
+        fresh in one and stale in the other, whose frames are shorter or whose surface moves."""
+        return self.statuses.setdefault(scene.session_uid, {})
+
+    def status_of(self, scene: Any, stroke: Any) -> StrokeStatus | None:
+        """Of a stroke as it stands in a scene; None where nothing is known of it yet."""
+        return self.strokes_in(scene).get(name_in(scene, stroke))
+
     def clear(self) -> None:
         """Forget everything: another file is open."""
-        self.strokes.clear()
+        self.statuses.clear()
         self.dirty.clear()
         self.suggestions.clear()
         self.reliefs.clear()

@@ -68,6 +68,10 @@ class Watch:
         if not names and stamp == self._stamp:
             return
         strokes = [obj for obj in scene.objects if obj.hnf_stroke.is_stroke]
+        named = [name_in(scene, obj) for obj in strokes]
+        statuses = STATE.strokes_in(scene)
+        for name in statuses.keys() - set(named):
+            del statuses[name]
         if EVERYTHING in names or stamp != self._stamp:
             self._session, self._stamp = None, stamp
             named = [name_in(scene, obj) for obj in strokes]
@@ -77,11 +81,10 @@ class Watch:
         surfaces = self._concerned_surfaces(scene, strokes, names)
         if self._session is not None:
             self._session.forget(surfaces)
-        for obj in strokes:
+        for name, obj in zip(named, strokes, strict=True):
             own = bool(parts_of(obj) & names)
             if own or self._surface_of(scene, obj) in surfaces or obj.hnf_stroke.surface is None:
-                self._pending[name_in(scene, obj)] = None
-        _leave_out(names & STATE.strokes.keys())
+                self._pending[name] = None
 
     def _concerned_surfaces(self, scene: Any, strokes: list[Any], names: set[str]) -> set[str]:
         """Names of surfaces that may look or feel different, where datablocks of these names changed."""
@@ -125,7 +128,7 @@ class Watch:
         obj = object_in(scene, name)
         if obj is None or not obj.hnf_stroke.is_stroke:
             del self._pending[name]
-            return STATE.strokes.pop(name, None) is not None
+            return STATE.strokes_in(scene).pop(name, None) is not None
         with own_changes(view_layer):
             session = self._opened(scene, view_layer)
             surface = obj.hnf_stroke.surface
@@ -136,8 +139,8 @@ class Watch:
             status = _status(session, obj)
             self._settings[name] = _settings(obj)
         del self._pending[name]
-        changed = STATE.strokes.get(name) != status
-        STATE.strokes[name] = status
+        changed = STATE.strokes_in(scene).get(name) != status
+        STATE.strokes_in(scene)[name] = status
         return changed
 
     def _opened(self, scene: Any, view_layer: Any) -> Session:
@@ -152,7 +155,7 @@ class Watch:
         chosen = obj.hnf_stroke.surface
         if chosen is not None:
             return name_in(scene, chosen)
-        known = STATE.strokes.get(name_in(scene, obj))
+        known = STATE.status_of(scene, obj)
         return "" if known is None else known.object_name
 
 
@@ -160,8 +163,8 @@ _watches: dict[str, Watch] = {}
 
 
 def refresh_status(scene: Any, names: Iterable[str] | None = None, view_layer: Any = None) -> None:
-    """Fill STATE.strokes from the stored bakes and the scene as it is: of the strokes named, or of all. Takes as long
-    as hashing the surfaces takes."""
+    """Fill STATE.strokes_in(scene) from the stored bakes and the scene as it is: of the strokes named, or of all. Takes
+    as long as hashing the surfaces takes."""
     layer = view_layer or scene.view_layers[0]
     watch = Watch(scene, layer)
     if names is not None:
@@ -194,16 +197,6 @@ def forget() -> None:
     """Another file: nothing is known."""
     _watches.clear()
     STATE.dirty.clear()
-
-
-def _leave_out(names: Iterable[str]) -> None:
-    """Drop the statuses of those that are no strokes any more; another window may show those of another scene."""
-    import bpy
-
-    for name in names:
-        obj = bpy.data.objects.get(name)
-        if obj is None or not obj.hnf_stroke.is_stroke:
-            del STATE.strokes[name]
 
 
 def _status(session: Session, obj: Any) -> StrokeStatus:

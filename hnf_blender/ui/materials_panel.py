@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import bpy
 
+from ..bridge.scene_names import name_in
 from ..ops.materials import felt_object, spoken
 from ..ops.outside_python import python_path
 from ..props.material import OWN_DEFINITION, OWN_NAME
@@ -26,17 +28,23 @@ def felt_text(material: Any) -> tuple[str, str]:
     ranked = STATE.suggestions.get(material.name_full)
     if ranked:
         return "UNLOCKED", f"{spoken(ranked[0].name)} ({sure_text(ranked[0].confidence)})"
-    baked = next((status for status in STATE.strokes.values() if status.shader == material.name), None)
+    baked = next((each for each in every_status() if each.shader == material.name), None)
     if baked is not None and baked.library_material:
         return "UNLOCKED", f"{spoken(baked.library_material)} ({tr('as baked')})"
     return "UNLOCKED", tr("Automatic at bake")
 
 
-def bakes_on(object_name: str) -> list[tuple[str, StrokeStatus]]:
-    """Strokes baked on an object, by name."""
+def every_status() -> Iterator[StrokeStatus]:
+    """Of the strokes of all scenes: a material may be used in any."""
+    return (status for statuses in STATE.statuses.values() for status in statuses.values())
+
+
+def bakes_on(scene: Any, obj: Any) -> list[tuple[str, StrokeStatus]]:
+    """A scene's strokes that are baked on an object, by name."""
+    object_name = name_in(scene, obj)
     return sorted(
         (name, status)
-        for name, status in STATE.strokes.items()
+        for name, status in STATE.strokes_in(scene).items()
         if status.object_name == object_name and status.library_material
     )
 
@@ -129,11 +137,11 @@ class HNF_PT_as_baked(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noq
     @classmethod
     def poll(cls, context: Any) -> bool:
         obj = felt_object(context)
-        return obj is not None and bool(bakes_on(obj.name))
+        return obj is not None and bool(bakes_on(context.scene, obj))
 
     def draw(self, context: Any) -> None:
         obj = felt_object(context)
-        bakes = bakes_on(obj.name)
+        bakes = bakes_on(context.scene, obj)
         for names, status in alike(bakes[:MOST_BAKES]):
             column = self.layout.column(align=True)
             paragraph(column, context, ", ".join(named(context, name) for name in names), icon="CURVE_DATA")

@@ -23,9 +23,9 @@ def picture_units(width_px: float, scale: float) -> float:
     return min(max((width_px / scale - 50.0) / UNIT_PX, least), most)
 
 
-def is_baked(name: str) -> bool:
+def is_baked(scene: Any, stroke: Any) -> bool:
     """Is there a bake, even an old one? Where that is not known yet, it is taken for there."""
-    status = STATE.strokes.get(name)
+    status = STATE.status_of(scene, stroke)
     return status is None or status.freshness is not Freshness.UNBAKED
 
 
@@ -56,7 +56,7 @@ class HNF_PT_preview(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa
             box = layout.box()
             box.alert = True
             paragraph(box, context, ACTUATOR.facts.problem, icon="ERROR")
-        if facts is None or not is_baked(stroke.name):
+        if facts is None or not is_baked(context.scene, stroke):
             hint(layout, context, tr("Bake this stroke to see and hear it"))
             return
         if facts.problem:

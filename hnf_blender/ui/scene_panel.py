@@ -44,7 +44,7 @@ class HNF_PT_scene(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa: 
         row.operator("hnf.bake", text="Active Only").only_active = True
         row.operator("hnf.plan", text="", icon="VIEWZOOM")
         if strokes:
-            text = counts_text(STATE.strokes.get(obj.name) for obj in strokes if not obj.hnf_stroke.mute)
+            text = counts_text(STATE.status_of(scene, obj) for obj in strokes if not obj.hnf_stroke.mute)
             if text:
                 paragraph(layout, context, text, icon="CURVE_DATA")
         plan = told_of(scene, STATE.plan)
@@ -67,7 +67,8 @@ def offers_tools(context: Any) -> bool:
 
 def draw_first_steps(layout: Any, context: Any, strokes: list[Any]) -> None:
     """1 Draw, 2 Bake, 3 Play, until the first stroke can be heard."""
-    audible = sum(obj.name in STATE.strokes and STATE.strokes[obj.name].freshness in AUDIBLE for obj in strokes)
+    statuses = (STATE.status_of(context.scene, obj) for obj in strokes)
+    audible = sum(status is not None and status.freshness in AUDIBLE for status in statuses)
     todo = steps(len(strokes), audible, STATE.heard)
     if not todo:
         return

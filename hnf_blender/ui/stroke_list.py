@@ -49,7 +49,7 @@ class HNF_UL_strokes(bpy.types.UIList):  # type: ignore[misc]  # noqa: N801
     def draw_item(
         self, context: Any, layout: Any, _data: Any, obj: Any, _icon: int, _active_data: Any, _active: str, _index: int
     ) -> None:
-        status = STATE.strokes.get(obj.name)
+        status = STATE.status_of(context.scene, obj)
         share = name_share(line_px(context))
         row = layout.split(factor=share)
         row.active = not obj.hnf_stroke.mute

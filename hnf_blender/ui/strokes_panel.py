@@ -81,9 +81,9 @@ class HNF_PT_stroke(OfStroke, bpy.types.Panel):  # type: ignore[misc]  # noqa: N
                 tr("A linked stroke has the same name, and the other one may be shown instead. Rename yours"),
                 icon="ERROR",
             )
-        icon, text = look(STATE.strokes.get(stroke.name))
+        status, heard = STATE.status_of(context.scene, stroke), preview_facts(stroke)
+        icon, text = look(status)
         paragraph(layout, context, text, icon=icon)
-        status, heard = STATE.strokes.get(stroke.name), preview_facts(stroke)
         if status is not None and (heard is None or not heard.lines):  # else the preview says it
             for warning in status.warnings:
                 paragraph(layout, context, warning, icon="ERROR")

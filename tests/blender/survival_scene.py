@@ -45,7 +45,7 @@ def statuses(**where) -> dict:
     scene = where.pop("scene", bpy.context.scene)
     bpy.context.view_layer.update()
     refresh_status(scene, **where)
-    return {name: status.freshness for name, status in STATE.strokes.items() if name in scene.objects}
+    return {name: status.freshness for name, status in STATE.strokes_in(scene).items()}
 
 
 def heard(name: str) -> bytes:

@@ -49,7 +49,7 @@ def test_every_kind_of_call_is_seen_and_nothing_is_left():
     assert list(bpy.app.handlers.depsgraph_update_post) == handlers
     assert not current.is_running()
     assert my_folders() == []
-    assert (STATE.job, STATE.strokes, STATE.dirty) == (None, {}, set())
+    assert (STATE.job, STATE.strokes_in(bpy.context.scene), STATE.dirty) == (None, {}, set())
 
 
 def test_a_bake_is_told_with_its_error_in_every_way():

@@ -52,12 +52,14 @@ def baked_scene():
 
 def drain() -> list[str]:
     """Look until all is known; names of the strokes that were looked at."""
-    before = {name: StrokeStatus(Freshness.UNKNOWN, "old") for name in STATE.strokes}
-    STATE.strokes.update(before)
+    before = {name: StrokeStatus(Freshness.UNKNOWN, "old") for name in STATE.strokes_in(bpy.context.scene)}
+    STATE.strokes_in(bpy.context.scene).update(before)
     for _ in range(100):
         watch.drain([(bpy.context.scene, bpy.context.view_layer)])
         if not STATE.dirty and all(each.is_idle for each in watch._watches.values()):
-            return sorted(name for name, status in STATE.strokes.items() if status != before.get(name))
+            return sorted(
+                name for name, status in STATE.strokes_in(bpy.context.scene).items() if status != before.get(name)
+            )
     raise AssertionError("it goes on for ever")
 
 
@@ -80,7 +82,7 @@ def test_handlers_only_note_names(noting) -> None:
     plate.active_material.node_tree.nodes["Principled BSDF"].inputs["Roughness"].default_value = 0.9
     update()
     assert plate.active_material.name in STATE.dirty
-    assert STATE.strokes == {}
+    assert STATE.strokes_in(bpy.context.scene) == {}
 
 
 def test_own_changes_are_no_news_and_a_persons_pending_ones_are(noting) -> None:
@@ -101,7 +103,7 @@ def test_a_bake_does_not_make_its_own_mesh_dirty(noting) -> None:
     assert running.bake_in_line(bpy.context.scene, bpy.context.view_layer).ok
     update()
     assert STATE.dirty == set()
-    assert STATE.strokes["Along"].freshness is Freshness.FRESH
+    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FRESH
 
 
 def edit_mesh(plate, _):
@@ -129,12 +131,12 @@ def scale_scene(*_):
 def test_what_a_signal_follows_from_makes_it_stale(noting, change) -> None:
     plate, stroke = baked_scene()
     assert drain() == ["Along"]
-    assert STATE.strokes["Along"].freshness is Freshness.FRESH
+    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FRESH
     change(plate, stroke)
     update()
     assert drain() == ["Along"]
-    assert STATE.strokes["Along"].freshness is Freshness.STALE
-    assert STATE.strokes["Along"].library_material
+    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.STALE
+    assert STATE.strokes_in(bpy.context.scene)["Along"].library_material
 
 
 def test_another_frame_rate_is_noticed(noting) -> None:
@@ -143,7 +145,7 @@ def test_another_frame_rate_is_noticed(noting) -> None:
     drain()
     bpy.context.scene.render.fps = 30
     assert drain() == ["Along"]
-    assert STATE.strokes["Along"].freshness is Freshness.FORCE
+    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FORCE
 
 
 def test_a_changed_seed_is_noticed_though_blender_tells_nothing(noting) -> None:
@@ -151,10 +153,10 @@ def test_a_changed_seed_is_noticed_though_blender_tells_nothing(noting) -> None:
     drain()
     stroke.hnf_stroke.seed += 1
     assert drain() == ["Along"]
-    assert STATE.strokes["Along"].freshness is Freshness.FORCE
+    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FORCE
     stroke.hnf_stroke.seed -= 1
     assert drain() == ["Along"]
-    assert STATE.strokes["Along"].freshness is Freshness.FRESH
+    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FRESH
 
 
 def test_only_concerned_strokes_are_looked_at(noting) -> None:
@@ -188,11 +190,11 @@ def test_deleted_and_renamed_strokes_leave_no_status(noting) -> None:
     stroke.name = "New name"
     update()
     drain()
-    assert list(STATE.strokes) == ["New name"]
+    assert list(STATE.strokes_in(bpy.context.scene)) == ["New name"]
     bpy.data.objects.remove(stroke)
     STATE.dirty.add(EVERYTHING)
     drain()
-    assert STATE.strokes == {}
+    assert STATE.strokes_in(bpy.context.scene) == {}
 
 
 def test_two_scenes_in_two_windows_keep_their_statuses(noting) -> None:
@@ -209,13 +211,13 @@ def test_two_scenes_in_two_windows_keep_their_statuses(noting) -> None:
             STATE.dirty.update(dirty)
             for _ in range(20):
                 watch.drain(order)
-            assert STATE.strokes.keys() == {"Along", "There"}
+            assert [set(STATE.strokes_in(scene)) for scene in (first, second)] == [{"Along"}, {"There"}]
     refresh_status(second)
-    assert STATE.strokes["Along"].freshness is Freshness.FRESH
+    assert STATE.strokes_in(first)["Along"].freshness is Freshness.FRESH
     bpy.data.objects.remove(there)
     STATE.dirty.add("There")
     watch.drain(shown)
-    assert STATE.strokes.keys() == {"Along"}
+    assert [set(STATE.strokes_in(scene)) for scene in (first, second)] == [{"Along"}, set()]
 
 
 def test_the_active_stroke_of_a_second_windows_scene_is_heard_too() -> None:
@@ -246,7 +248,7 @@ def test_another_file_forgets_all(noting, tmp_path) -> None:
     baked_scene()
     drain()
     handlers.enter_file("")
-    assert STATE.strokes == {}
+    assert STATE.strokes_in(bpy.context.scene) == {}
     assert STATE.dirty == {EVERYTHING}
     assert drain() == ["Along"]
 
@@ -275,9 +277,9 @@ def test_a_fault_of_ours_is_shown_and_the_other_strokes_are_looked_at(noting, mo
 
     monkeypatch.setattr(Session, "read", faulty)
     assert drain() == ["Along", "Beside"]
-    assert STATE.strokes["Along"].freshness is Freshness.BROKEN
-    assert "a fault" in STATE.strokes["Along"].why
-    assert STATE.strokes["Beside"].freshness is Freshness.UNBAKED
+    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.BROKEN
+    assert "a fault" in STATE.strokes_in(bpy.context.scene)["Along"].why
+    assert STATE.strokes_in(bpy.context.scene)["Beside"].freshness is Freshness.UNBAKED
 
 
 def test_the_picked_stroke_stays_picked_when_objects_come_and_go() -> None:
@@ -356,23 +358,25 @@ def test_edit_mode_is_waited_for(noting) -> None:
     update()
     STATE.dirty.add(PLATE)
     drain()
-    assert STATE.strokes["Along"].freshness is Freshness.UNKNOWN
-    assert "Edit Mode" in STATE.strokes["Along"].why
+    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.UNKNOWN
+    assert "Edit Mode" in STATE.strokes_in(bpy.context.scene)["Along"].why
     bpy.ops.object.mode_set(mode="OBJECT")
     update()
     drain()
-    assert STATE.strokes["Along"].freshness is Freshness.FRESH
+    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FRESH
 
 
 def test_refresh_fills_what_is_asked_for() -> None:
     plate, _ = baked_scene()
     line_stroke("Beside", surface=plate, force=2.0)
-    STATE.strokes.clear()
+    STATE.strokes_in(bpy.context.scene).clear()
     refresh_status(bpy.context.scene, ["Beside"])
-    assert {name: status.freshness for name, status in STATE.strokes.items()} == {"Beside": Freshness.UNBAKED}
+    assert {name: status.freshness for name, status in STATE.strokes_in(bpy.context.scene).items()} == {
+        "Beside": Freshness.UNBAKED
+    }
     refresh_status(bpy.context.scene)
-    assert STATE.strokes["Along"].freshness is Freshness.FRESH
+    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FRESH
     bpy.data.objects[PLATE].hide_render = True
     refresh_status(bpy.context.scene)
-    assert STATE.strokes["Along"].freshness is Freshness.BROKEN
-    assert "hidden" in STATE.strokes["Along"].why
+    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.BROKEN
+    assert "hidden" in STATE.strokes_in(bpy.context.scene)["Along"].why

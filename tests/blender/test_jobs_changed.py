@@ -48,7 +48,7 @@ def test_nothing_changed_and_all_is_committed(baked) -> None:
     assert committed.refused == []
     assert sorted(committed.strokes) == strokes_kept() == ["Along", "Beside"]
     assert list(kept()["tokens"]) == committed.meshes == [PLATE]
-    assert STATE.strokes["Along"].freshness is Freshness.FRESH
+    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FRESH
 
 
 def move(stroke) -> None:

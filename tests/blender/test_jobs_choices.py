@@ -35,8 +35,8 @@ def test_the_stroke_goes_before_the_material_and_both_before_the_ranking() -> No
     assert ranked not in {"oak-wood", "cork"}
     plate.active_material.hnf_touch.library = "oak-wood"
     bpy.ops.hnf.plan()
-    assert STATE.strokes["Along"].freshness is Freshness.STALE
-    assert "material choice" in STATE.strokes["Along"].why
+    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.STALE
+    assert "material choice" in STATE.strokes_in(bpy.context.scene)["Along"].why
     assert felt_as() == "oak-wood"
     stroke.hnf_stroke.material = "cork"
     assert felt_as() == "cork"

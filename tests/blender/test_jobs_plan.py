@@ -64,11 +64,11 @@ def test_a_plan_says_why_something_is_stale_and_that_force_needs_nothing() -> No
     bpy.ops.hnf.bake()
     stroke.hnf_stroke.probe = "finger"
     plan()
-    assert STATE.strokes["Along"].freshness is Freshness.FORCE
+    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FORCE
     assert lines("needed") == []
     stroke.location.x += 1e-3
     plan()
-    assert STATE.strokes["Along"].freshness is Freshness.STALE
+    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.STALE
     (needed,) = lines("needed")
     assert "path" in needed
 
@@ -81,14 +81,14 @@ def test_force_where_nothing_was_touched_is_stale() -> None:
             key.co.y = 1.0 if key.co.x < 4.0 else 0.0
         fcurve.update()
     bpy.ops.hnf.bake()
-    assert STATE.strokes["Along"].freshness is Freshness.FRESH
+    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FRESH
     for fcurve in list(_fcurves(stroke)):
         for key in fcurve.keyframe_points:
             key.co.y = 1.0
         fcurve.update()
     plan()
-    assert STATE.strokes["Along"].freshness is Freshness.STALE
-    assert "no contact" in STATE.strokes["Along"].why
+    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.STALE
+    assert "no contact" in STATE.strokes_in(bpy.context.scene)["Along"].why
 
 
 def test_only_the_active_stroke() -> None:
@@ -125,7 +125,7 @@ def test_purging_everything_leaves_strokes_and_choices(tmp_path) -> None:
     ]
     assert plate.active_material.hnf_touch.library == "oak-wood"
     assert [tuple(key.co) for fcurve in _fcurves(stroke) for key in fcurve.keyframe_points] == keys
-    assert STATE.strokes["Along"].freshness is Freshness.UNBAKED
+    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.UNBAKED
     assert bpy.ops.hnf.purge(what="ALL") == {"CANCELLED"}
     save_scene(tmp_path / "purged.blend")
 

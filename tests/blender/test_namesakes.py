@@ -98,7 +98,7 @@ def test_a_stroke_gets_its_bake_beside_a_linked_one_of_its_name(tmp_path, lone_b
     assert load_bake(stroke) is not None
     assert "Along [set.blend]" in ended.message + " ".join(ended.details)
     refresh_status(bpy.context.scene)
-    assert STATE.strokes["Along"].freshness is Freshness.FRESH
+    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FRESH
 
 
 def test_the_list_picks_the_one_that_is_active(tmp_path) -> None:

@@ -74,7 +74,7 @@ def fill() -> None:
     for freshness in Freshness:
         name = f"{LONG} {freshness.value}"
         add_stroke(name, plane)
-        STATE.strokes[name] = StrokeStatus(
+        STATE.strokes_in(bpy.context.scene)[name] = StrokeStatus(
             freshness, "", 1.2, "Plane", "oak-wood", "8–2 mm measured, 1–0.125 mm prior", 0.64, ("fast",)
         )
         PREVIEW.facts[name] = PreviewFacts(
@@ -120,9 +120,21 @@ def test_every_panel_draws_with_what_this_blender_has(each: type) -> None:
 @pytest.mark.parametrize("each", PANELS, ids=lambda each: each.__name__)
 def test_drawing_changes_nothing(each: type) -> None:
     fill()
-    before = (dict(STATE.strokes), STATE.plan, STATE.last_job, dict(STATE.suggestions), set(STATE.dirty))
+    before = (
+        dict(STATE.strokes_in(bpy.context.scene)),
+        STATE.plan,
+        STATE.last_job,
+        dict(STATE.suggestions),
+        set(STATE.dirty),
+    )
     drawn(each)
-    assert before == (dict(STATE.strokes), STATE.plan, STATE.last_job, dict(STATE.suggestions), set(STATE.dirty))
+    assert before == (
+        dict(STATE.strokes_in(bpy.context.scene)),
+        STATE.plan,
+        STATE.last_job,
+        dict(STATE.suggestions),
+        set(STATE.dirty),
+    )
 
 
 def test_the_tab_is_in_the_order_of_the_work() -> None:
@@ -152,7 +164,7 @@ def test_an_empty_scene_says_what_to_do_first_and_the_hint_goes_away() -> None:
     assert strokes is not None
     assert ("hnf.stroke_tool" in scene.operators, "hnf.stroke_tool" in strokes.operators) == (False, True)
     assert "2  Bake" in scene.words
-    STATE.strokes[stroke.name] = StrokeStatus(Freshness.FRESH)
+    STATE.strokes_in(bpy.context.scene)[stroke.name] = StrokeStatus(Freshness.FRESH)
     scene = drawn(panel("HNF_PT_scene"))
     assert scene is not None
     assert "3  Play" in scene.words
@@ -169,12 +181,12 @@ def test_the_preview_says_what_is_missing_then_shows_figures() -> None:
     assert "draw a stroke" in nothing.words.replace("\n", " ")
     stroke = add_stroke("Rub", add_plane())
     PREVIEW.facts[stroke.name] = PreviewFacts(stroke.name, problem="Not baked yet.")
-    STATE.strokes[stroke.name] = StrokeStatus(Freshness.UNBAKED)
+    STATE.strokes_in(bpy.context.scene)[stroke.name] = StrokeStatus(Freshness.UNBAKED)
     unbaked = drawn(panel("HNF_PT_preview"))
     assert unbaked is not None
     assert "Bake this stroke" in unbaked.words
     assert "Not baked yet." not in unbaked.words
-    STATE.strokes[stroke.name] = StrokeStatus(Freshness.FRESH)
+    STATE.strokes_in(bpy.context.scene)[stroke.name] = StrokeStatus(Freshness.FRESH)
     PREVIEW.facts[stroke.name] = PreviewFacts(stroke.name, 1.2, playing=True, has_kept=True, lines=("peak 3 m/s²",))
     playing = drawn(panel("HNF_PT_preview"))
     assert playing is not None

@@ -42,7 +42,7 @@ def test_the_exported_wav_is_that_of_the_command_line(warm_bake, tmp_path) -> No
     set_keys(stroke, "force", (3.0, 2.7))
     stroke.hnf_stroke.seed, stroke.hnf_stroke.probe = 11, "finger"
     refresh_status(bpy.context.scene)
-    assert STATE.strokes["Along"].freshness is Freshness.FORCE
+    assert STATE.strokes_in(bpy.context.scene)["Along"].freshness is Freshness.FORCE
     second = exported(tmp_path)
     assert second.keys() == first.keys()
     assert second != first

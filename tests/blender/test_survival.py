@@ -222,7 +222,7 @@ def test_a_renamed_surface_or_material_is_shown_as_stale_and_bakes_to_the_same(s
     (plate if what == "surface" else plate.material_slots[0].material).name = "Other"
     assert statuses() == {"Along": STALE, "Below": FRESH}
     named = {"surface": "surface name", "material": "the materials of the surface"}[what]
-    assert named in STATE.strokes["Along"].why
+    assert named in STATE.strokes_in(bpy.context.scene)["Along"].why
     bake()
     assert statuses() == {"Along": FRESH, "Below": FRESH}
     assert heard("Along") == before
@@ -232,7 +232,7 @@ def test_a_moved_stroke_is_not_said_to_have_a_renamed_surface(saved: Path) -> No
     opened(saved)
     bpy.data.objects["Along"].location.y += 0.001
     assert statuses() == {"Along": STALE, "Below": FRESH}
-    assert STATE.strokes["Along"].why == "Changed since the bake: path or timing. Bake again."
+    assert STATE.strokes_in(bpy.context.scene)["Along"].why == "Changed since the bake: path or timing. Bake again."
 
 
 def test_slots_in_another_order_are_noticed_and_feel_the_same(saved: Path) -> None:
@@ -257,7 +257,7 @@ def test_an_edited_mesh_makes_its_strokes_stale_and_no_other(saved: Path) -> Non
     corner.co.z += 0.01
     bpy.data.objects["Plate"].data.update()
     assert statuses() == {"Along": STALE, "Below": FRESH}
-    assert "shape of the surface" in STATE.strokes["Along"].why
+    assert "shape of the surface" in STATE.strokes_in(bpy.context.scene)["Along"].why
     corner.co = before
     bpy.data.objects["Plate"].data.update()
     assert statuses() == {"Along": FRESH, "Below": FRESH}
@@ -268,7 +268,7 @@ def test_a_changed_choice_is_stale_and_taken_back_is_fresh(saved: Path) -> None:
     material = bpy.data.objects["Plate"].material_slots[0].material
     material.hnf_touch.library = "silk"
     assert statuses() == {"Along": STALE, "Below": FRESH}
-    assert "material choice" in STATE.strokes["Along"].why
+    assert "material choice" in STATE.strokes_in(bpy.context.scene)["Along"].why
     material.hnf_touch.library = "oak-wood"
     assert statuses() == {"Along": FRESH, "Below": FRESH}
 
@@ -284,7 +284,7 @@ def test_a_definition_is_felt_and_its_loss_is_noticed(saved: Path) -> None:
     assert statuses() == {"Along": FRESH, "Below": STALE}
     keep(material, OWN_DEFINITION, data[:-1])
     assert statuses() == {"Along": FRESH, "Below": BROKEN}
-    assert "material 'Block plastic'" in STATE.strokes["Below"].why
+    assert "material 'Block plastic'" in STATE.strokes_in(bpy.context.scene)["Below"].why
     keep(material, OWN_DEFINITION, data)
     assert statuses() == {"Along": FRESH, "Below": FRESH}
 
@@ -320,7 +320,7 @@ def test_a_surface_hidden_in_one_view_layer_is_there_in_the_other(saved: Path) -
     other.layer_collection.children["Aside"].exclude = True
     found = statuses(view_layer=other)
     assert found == {"Along": BROKEN, "Below": FRESH}
-    assert "'Plate'" in STATE.strokes["Along"].why
+    assert "'Plate'" in STATE.strokes_in(bpy.context.scene)["Along"].why
     assert statuses(view_layer=scene.view_layers[0]) == {"Along": FRESH, "Below": FRESH}
 
 

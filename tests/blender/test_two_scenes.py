@@ -1,0 +1,58 @@
+"""One stroke in two scenes, each in a window of its own: how its bake stands is known of each."""
+
+from __future__ import annotations
+
+import bpy
+import pytest
+from job_scene import small_scene
+
+from hnf_blender.jobs import plan_view, running
+from hnf_blender.jobs.purge import purge
+from hnf_blender.state import watch
+from hnf_blender.state.session import STATE, Freshness
+from hnf_blender.ui.scene_panel import counts_text
+
+
+@pytest.fixture
+def scenes(warm_bake):
+    """The stroke was baked in the first; in the second frames are half as long, so that its force comes sooner."""
+    watch.forget()
+    plate, stroke = small_scene()
+    first, second = bpy.context.scene, bpy.data.scenes.new("Second")
+    for each in (plate, stroke):
+        second.collection.objects.link(each)
+    second.render.fps = 2 * first.render.fps
+    running.bake_in_line(first, first.view_layers[0])
+    yield first, second
+    watch.forget()
+
+
+def look(*scenes) -> list[Freshness]:
+    """What is known once the windows that show these scenes have been looked after."""
+    for _ in range(20):
+        watch.drain([(scene, scene.view_layers[0]) for scene in scenes])
+    stroke = bpy.data.objects["Along"]
+    return [STATE.status_of(scene, stroke).freshness for scene in sorted(scenes, key=lambda scene: scene.name)]
+
+
+def test_it_is_judged_in_each_whichever_is_looked_at_last(scenes) -> None:
+    for order in (scenes, scenes[::-1]):
+        STATE.dirty.add(watch.EVERYTHING)
+        assert look(*order) == [Freshness.FRESH, Freshness.FORCE]
+
+
+def test_a_bake_in_one_is_news_in_the_other(scenes) -> None:
+    second = scenes[1]
+    look(*scenes)
+    running.bake_in_line(second, second.view_layers[0])
+    assert look(*scenes) == [Freshness.STALE, Freshness.FRESH]  # it lasts longer here than was baked
+
+
+def test_plan_and_purge_speak_of_their_scene(scenes) -> None:
+    first, second = scenes
+    look(*scenes)
+    plan_view.make_plan(second, second.view_layers[0])
+    assert look(*scenes) == [Freshness.FRESH, Freshness.FORCE]
+    purge(first, first.view_layers[0], everything=True)
+    assert [STATE.strokes_in(scene)["Along"].freshness for scene in scenes] == [Freshness.UNBAKED] * 2
+    assert "1" in counts_text(STATE.strokes_in(first).values())
