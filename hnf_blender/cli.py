@@ -33,6 +33,10 @@ def run_touch(arguments: argparse.Namespace) -> int:
             "touch needs Blender, and this Python has no bpy.",
             remedy="Install it (pip install bpy==5.0.1, Python 3.11), or run: blender -b --command hnf touch …",
         )
+    if request.scene is not None:
+        from .bridge.importers import check_scene_file
+
+        check_scene_file(request.scene)  # before Blender starts: a slip in a name is told at once
     _know_strokes()
     from .touch.run import run
 

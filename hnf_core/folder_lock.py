@@ -21,6 +21,12 @@ def folder_lock(folder: Path, kind: str = "run", name: str = LOCK_NAME) -> Itera
 
     Raises FileError when the folder cannot be made or another run holds it.
     """
+    if folder.is_file():
+        raise FileError(
+            "is a file, and the results need a folder.",
+            where=str(folder),
+            remedy=f"Give --out a folder, for example: --out {folder.with_suffix('')}-touched",
+        )
     try:
         folder.mkdir(parents=True, exist_ok=True)
         stream = (folder / name).open("a+")

@@ -46,7 +46,7 @@ def open_scene(
 
     path = Path(path).absolute()
     suffix = path.suffix.lower()
-    _check_head(path, suffix)
+    check_scene_file(path)
     if suffix == ".blend":
         _run(path, lambda: bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=False))
         scene = bpy.context.scene
@@ -92,9 +92,11 @@ def empty_scene() -> None:
     bpy.ops.wm.read_homefile(use_factory_startup=True, use_empty=True, load_ui=False)
 
 
-def _check_head(path: Path, suffix: str) -> None:
-    """Refuse by name, size and first bytes whatever Blender would not open, before anything open is given up."""
-    where = str(path)
+def check_scene_file(path: Path) -> None:
+    """Refuse by name, size and first bytes whatever Blender would not open, before anything open is given up. Needs no
+    Blender. Raises FileError and SceneError as open_scene does."""
+    path = Path(path).absolute()
+    where, suffix = str(path), path.suffix.lower()
     if not path.exists():
         raise FileError("there is no such file.", where=where, remedy="Check the path.")
     if not path.is_file():
@@ -103,9 +105,11 @@ def _check_head(path: Path, suffix: str) -> None:
         raise _splat(where)
     if suffix not in SUFFIXES:
         raise FileError(
-            f"scenes of kind '{suffix or path.name}' are not supported.",
+            f"a file of kind '{suffix}' is no scene."
+            if suffix
+            else "it has no ending that says what kind of scene it is.",
             where=where,
-            remedy=f"Export it as one of {' '.join(SUFFIXES)}.",
+            remedy=f"Give a scene: {' '.join(SUFFIXES)}.",
         )
     try:
         with path.open("rb") as stream:

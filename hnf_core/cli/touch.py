@@ -70,11 +70,17 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(
         "touch",
         help=HELP["touch"],
-        description="Open SCENE (.blend .gltf .glb .obj .ply .usd .fbx), find or place strokes, and write one WAV and "
-        "one picture per stroke, the baked .blend and report.json to DIR. With no stroke in the scene or on the "
-        "command line, one default stroke is placed on every touchable material.",
+        description="Open SCENE (.blend .gltf .glb .obj .ply .usd .usda .usdc .usdz .fbx, or the .json of nerfstudio), "
+        "find or place strokes, and write one WAV and one picture per stroke, the baked .blend and report.json to DIR. "
+        "With no stroke in the scene or on the command line, one default stroke is placed on every touchable material.",
     )
-    parser.add_argument("scene", nargs="?", type=Path, metavar="SCENE", help="scene file; default: the open file")
+    parser.add_argument(
+        "scene",
+        nargs="?",
+        type=Path,
+        metavar="SCENE",
+        help="scene file; may be left out inside Blender, for the open file",
+    )
     parser.add_argument(
         "--out",
         type=Path,
@@ -84,7 +90,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     parser.add_argument(
         "--stroke", action="append", default=[], metavar="WORDS", type=primitive_of, dest="strokes",
         help=f"place a stroke: {', '.join(PRIMITIVES)}; or in words: 'scrape right to left, 1.5 N, 80 mm/s'. "
-        "Needs --on",
+        "Needs --on. Strokes drawn in the scene are computed too",
     )  # fmt: skip
     parser.add_argument(
         "--on", action="append", default=[], metavar="OBJECT[:SLOT]", dest="targets",
@@ -116,7 +122,9 @@ def request_from(arguments: argparse.Namespace) -> TouchRequest:
     if len(arguments.strokes) != len(arguments.targets):
         raise UsageError(
             f"{len(arguments.strokes)} --stroke but {len(arguments.targets)} --on.",
-            remedy="Give each --stroke its own --on OBJECT[:SLOT].",
+            remedy="Say where each stroke goes: --stroke WORDS --on OBJECT[:SLOT]. The names there are: --plan"
+            if len(arguments.strokes) > len(arguments.targets)
+            else "Say which stroke goes there: --stroke WORDS --on OBJECT[:SLOT], for example --stroke rub-slow",
         )
     if arguments.scale is not None and not 0.0 < arguments.scale < float("inf"):
         raise UsageError("--scale must be a positive number of metres per unit.", remedy="Example: --scale 0.01")

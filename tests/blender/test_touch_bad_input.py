@@ -244,3 +244,39 @@ def test_a_full_disk_costs_nothing_that_is_saved(tmp_path, capsys, small_disk) -
     assert (small_disk / "good.wav").read_bytes() == b"an earlier result"
     (small_disk / "filling").unlink()
     assert not [path for path in small_disk.rglob(".*") if path.name != ".hnf-lock"]
+
+
+def test_a_file_is_no_folder_for_results(tmp_path, capsys) -> None:
+    ridge_plate()
+    scene = save_scene(tmp_path / "scene.blend")
+    (tmp_path / "mine.wav").write_text("here first")
+    assert touch(scene, tmp_path / "mine.wav")[0] == 1
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert "mine.wav: is a file, and the results need a folder. Give --out a folder" in told
+    assert (tmp_path / "mine.wav").read_text() == "here first"
+
+
+def test_a_wrong_scene_is_told_before_blender_starts(tmp_path) -> None:
+    (tmp_path / "rub.wav").write_bytes(b"RIFF")
+    for name, said in (
+        ("rub.wav", "a file of kind '.wav' is no scene. Give a scene: .blend"),
+        ("gone.blend", "no such"),
+    ):
+        words = ["touch", str(tmp_path / name), "--out", str(tmp_path / "out")]
+        program = (
+            f"import sys; from hnf_blender.cli import main; code = main({words!r}); "
+            "print('bpy' in sys.modules); sys.exit(code)"
+        )
+        run = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True)
+        assert (run.returncode, run.stdout) == (1, "False\n")
+        assert said in run.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [(("--stroke", "rub-slow"), "Say where each stroke goes"), (("--on", PLATE), "Say which stroke goes there")],
+)
+def test_half_a_placement_is_told_its_other_half(tmp_path, capsys, words, said) -> None:
+    assert main(["touch", str(tmp_path / "scene.blend"), "--out", str(tmp_path / "out"), *words]) == 2
+    assert said in capsys.readouterr().err
