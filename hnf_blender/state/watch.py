@@ -74,8 +74,6 @@ class Watch:
             del statuses[name]
         if EVERYTHING in names or stamp != self._stamp:
             self._session, self._stamp = None, stamp
-            named = [name_in(scene, obj) for obj in strokes]
-            _leave_out(STATE.strokes.keys() - set(named))
             self._pending.update(dict.fromkeys(named))
             return
         surfaces = self._concerned_surfaces(scene, strokes, names)

@@ -30,7 +30,7 @@ def strokes() -> list:
 
 def freshness(name: str) -> str:
     """ "fresh", "force", "stale" … as the panel shows it; "" where the state knows nothing of the stroke."""
-    status = state().strokes.get(name)
+    status = state().strokes_in(bpy.context.scene).get(name)
     return "" if status is None else status.freshness.value
 
 

@@ -45,7 +45,7 @@ def check_undo_and_redo_while_it_runs(stage):
     yield from done(stage)
     stage.expect("and is kept", all(kept()[obj.name][-1] for obj in strokes()), state().last_job)
     yield 0.6
-    stage.expect("as fresh", all(freshness(obj.name) == "fresh" for obj in strokes()), state().strokes)
+    stage.expect("as fresh", all(freshness(obj.name) == "fresh" for obj in strokes()), state().statuses)
 
 
 def check_an_edit_while_it_runs_costs_that_stroke_alone(stage):
@@ -63,7 +63,7 @@ def check_an_edit_while_it_runs_costs_that_stroke_alone(stage):
 def check_statuses_follow_an_edit(stage):
     yield from baked(stage)
     yield 0.6
-    stage.expect("fresh", freshness("Stroke 1") == "fresh", state().strokes)
+    stage.expect("fresh", freshness("Stroke 1") == "fresh", state().statuses)
     bpy.data.objects["Stroke 1"].hnf_stroke.seed += 1
     yield from stage.until("a seed is noticed", lambda: freshness("Stroke 1") == "force", 5.0)
     bpy.data.objects["Stroke 1"].location.x += 0.002
