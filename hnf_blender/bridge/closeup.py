@@ -310,7 +310,24 @@ def _height(seen: _Seen, mask: Mask, notes: list[str]) -> tuple[NDArray[np.float
     if span < FLAT_M:
         return nothing
     resolved = resolved_wavelength(used, seen.passes, mask, seen.pixel_m)
-    return height.astype(np.float32), "; ".join(dict.fromkeys(each.source for each in used)), resolved
+    return height.astype(np.float32), "; ".join(dict.fromkeys(_told(seen, each) for each in used)), resolved
+
+
+def _told(seen: _Seen, source: Relief | Slopes) -> str:
+    if isinstance(source, Slopes):
+        return source.source
+    metres = _metres_per_unit(seen, source)
+    return ", ".join((source.node, *(amount.told(metres) for amount in source.amounts)))
+
+
+def _metres_per_unit(seen: _Seen, relief: Relief) -> float:
+    """Of the units that its height is in."""
+    if not relief.in_object_space:
+        return seen.metres_per_unit
+    # A step along the object's own normal, as long as the object's scale makes it.
+    along = seen.stage.stretch.T @ seen.patch.normal
+    step = seen.stage.stretch @ (along / np.linalg.norm(along))
+    return float(step @ seen.patch.normal)
 
 
 def _relief(seen: _Seen, layers: Layers | None, displacement: MicroGeometry) -> Float:
@@ -322,13 +339,7 @@ def _relief(seen: _Seen, layers: Layers | None, displacement: MicroGeometry) -> 
 def _sum(seen: _Seen, reliefs: Sequence[Relief]) -> Float:
     total = np.zeros((seen.camera.height, seen.camera.width))
     for relief in reliefs:
-        scale = seen.metres_per_unit
-        if relief.in_object_space:
-            # A step along the object's own normal, as long as the object's scale makes it.
-            along = seen.stage.stretch.T @ seen.patch.normal
-            step = seen.stage.stretch @ (along / np.linalg.norm(along))
-            scale = float(step @ seen.patch.normal)
-        total = total + scale * relief.tap.read(seen.passes)
+        total = total + _metres_per_unit(seen, relief) * relief.tap.read(seen.passes)
     return total
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from hnf_core.units import m_to_mm
+
 from .node_graph import NodeGraph
 from .taps import Tap, Tapper, constant_value, copy_input
 from .texels import IMAGE, PROCEDURAL, ImageTap, image_tap, is_plain, made_from
@@ -13,14 +15,33 @@ BUMP_FACTORS = ("Distance", "Strength")
 
 
 @dataclass(frozen=True)
+class Amount:
+    """An input of a node, for the report. value: None where it is textured. is_length: of the tap's Blender units."""
+
+    word: str
+    value: float | None
+    is_length: bool
+
+    def told(self, metres_per_unit: float) -> str:
+        if self.value is None:
+            return f"{self.word} textured"
+        if not self.is_length:
+            return f"{self.word} {self.value:g}"
+        metres = self.value * metres_per_unit
+        small = 0.0 < abs(metres) < 1e-6
+        return f"{self.word} {metres * 1e6:.3g} µm" if small else f"{self.word} {m_to_mm(metres):.6g} mm"
+
+
+@dataclass(frozen=True)
 class Relief:
     """One source of height. tap: the height, VALUE, in Blender units of the world, or of the object where
-    in_object_space (it then follows the object's scale). source: for the report. images: what it is made from.
+    in_object_space (it then follows the object's scale). node, amounts: for the report. images: what it is made from.
     procedural: some of it has no texels. plain: it is no finer than its images' texels, see texels.is_plain."""
 
     tap: Tap
     in_object_space: bool
-    source: str
+    node: str
+    amounts: tuple[Amount, ...]
     images: tuple[ImageTap, ...]
     procedural: bool
     plain: bool
@@ -102,9 +123,16 @@ def from_displacement(socket: Any, tapper: Tapper, notes: list[str]) -> MicroGeo
     copy_input(tree, node.inputs["Midlevel"], raised.inputs[1])
     height = tapper.product(tree, raised.outputs[0], node.inputs["Scale"])
     images, procedural = made_from(tapper, [node.inputs["Height"]])
-    source = f"displacement '{node.name}', {_amount(node, 'Scale')}"
-    in_object_space, plain = node.space == "OBJECT", is_plain(tapper.graph, relief_inputs(node))
-    return MicroGeometry((Relief(tapper.output(height, "VALUE"), in_object_space, source, images, procedural, plain),))
+    relief = Relief(
+        tapper.output(height, "VALUE"),
+        node.space == "OBJECT",
+        f"displacement '{node.name}'",
+        (_amount(node, "Scale", is_length=True),),
+        images,
+        procedural,
+        is_plain(tapper.graph, relief_inputs(node)),
+    )
+    return MicroGeometry((relief,))
 
 
 def _bump(node: Any, tapper: Tapper) -> Relief:
@@ -113,9 +141,9 @@ def _bump(node: Any, tapper: Tapper) -> Relief:
     factors = (node.inputs[name] for name in BUMP_FACTORS)
     height = tapper.product(node.id_data, sign, node.inputs["Height"], *factors)
     images, procedural = made_from(tapper, [node.inputs["Height"]])
-    source = f"bump '{node.name}', {_amount(node, 'Distance')}, {_amount(node, 'Strength')}"
+    amounts = (_amount(node, "Distance", is_length=True), _amount(node, "Strength", is_length=False))
     plain = is_plain(tapper.graph, relief_inputs(node))
-    return Relief(tapper.output(height, "VALUE"), False, source, images, procedural, plain)
+    return Relief(tapper.output(height, "VALUE"), False, f"bump '{node.name}'", amounts, images, procedural, plain)
 
 
 def relief_inputs(node: Any) -> list[Any]:
@@ -144,9 +172,9 @@ def _check_normal_map(node: Any, graph: NodeGraph, notes: list[str]) -> None:
             notes.append(f"normal map '{each.image.name}' is tagged {space}: set its Color Space to Non-Color.")
 
 
-def _amount(node: Any, name: str) -> str:
+def _amount(node: Any, name: str, *, is_length: bool) -> Amount:
     socket = node.inputs[name]
-    return f"{name.lower()} textured" if socket.is_linked else f"{name.lower()} {socket.default_value:g}"
+    return Amount(name.lower(), None if socket.is_linked else float(socket.default_value), is_length)
 
 
 def _label(node: Any, kind: str) -> str:

@@ -14,10 +14,21 @@ def test_a_sine_bump_is_measured_in_metres_and_in_place():
     assert_sine(close, 0.5e-4)
     assert close.mask.all()
     assert close.resolved_wavelength_m == pytest.approx(2 * close.metres_per_pixel)
-    assert close.height_source == "bump 'Bump', distance 0.001, strength 1"
+    assert close.height_source == "bump 'Bump', distance 1 mm, strength 1"
     assert abs(close.height[close.mask].mean()) < 1e-9
     np.testing.assert_allclose(close.view.depth, 0.01, rtol=1e-6)
     assert close.faces.tolist() == [0]
+
+
+@pytest.mark.parametrize(
+    ("distance", "told"), [(1.2e-5, "0.012 mm"), (0.05, "50 mm"), (4e-7, "0.4 µm")], ids=["fine", "coarse", "tiny"]
+)
+@pytest.mark.parametrize("metres_per_unit", [1.0, 0.01])
+def test_a_height_is_told_in_millimetres_whatever_the_scenes_unit_is(distance, told, metres_per_unit):
+    unit = distance / metres_per_unit
+    plane = bumpy_plane(wavelength=2e-3 / metres_per_unit, height=1e-4 / metres_per_unit, distance=unit)
+    close = look(plane, metres_per_unit=metres_per_unit)
+    assert close.height_source == f"bump 'Bump', distance {told}, strength 1"
 
 
 def test_the_patch_frame_turns_with_the_patch():
