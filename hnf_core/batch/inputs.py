@@ -13,7 +13,8 @@ from ..errors import FileError
 from ..files import content_hash
 
 BLOCK_BYTES = 1 << 20
-DATA = Path(__file__).resolve().parents[1] / "data"
+PACKAGES = tuple(Path(__file__).resolve().parents[2] / name for name in ("hnf_core", "hnf_blender"))
+DATA = PACKAGES[0] / "data"
 
 
 def digest(path: Path) -> str:
@@ -38,9 +39,14 @@ def named_files(values: Iterable[object], base: Path, own: Path | None = None) -
 
 @functools.cache
 def version() -> str:
-    """Of the program and of the weights and the library that it ships with."""
-    shipped = sorted(path for path in DATA.iterdir() if path.is_file() and not path.name.startswith("."))
-    return f"{__version__}+{content_hash(*(f'{path.name}:{_content(path)}' for path in shipped))}"
+    """Of the program, which is its own code and not a number alone, of the weights and the library that it ships with,
+    and of the compiled kernel. The same on every machine that has the same of them; looked at once in a process."""
+    from ..kernel import library
+
+    shipped = [path for path in DATA.iterdir() if path.is_file() and not path.name.startswith(".")]
+    code = [path for package in PACKAGES for path in package.rglob("*.py")]
+    parts = sorted(f"{path.relative_to(PACKAGES[0].parent).as_posix()}:{_content(path)}" for path in shipped + code)
+    return f"{__version__}+{content_hash(*parts, library.build_id())}"
 
 
 def _content(path: Path) -> str:

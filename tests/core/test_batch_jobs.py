@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import os
 import shutil
 import sys
 from dataclasses import replace
@@ -14,6 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hnf_core.batch import inputs
 from hnf_core.batch.expand import combined_jobs, scene_jobs
 from hnf_core.batch.inputs import digest, named_files
 from hnf_core.batch.job import FAILED_SUFFIX, folder_name, job_from, refuse_twins
@@ -21,6 +23,7 @@ from hnf_core.batch.jobs_file import jobs_of, read_jobs
 from hnf_core.batch.order import Order, Outcome, State, encode, order_from, outcome_from
 from hnf_core.cli.main import main
 from hnf_core.errors import FileError, UsageError
+from hnf_core.kernel import library
 
 SYNTH = "synth --material oak-wood --stroke rub-slow --out x.wav"
 ANYTHING = st.recursive(
@@ -183,6 +186,50 @@ def test_a_digest_follows_content_and_a_folders_listing(tmp_path: Path) -> None:
     found = named_files(["a", ["b", ("none", None, 3)], tmp_path / "a", "x\0", "y" * 5000], tmp_path)
     assert found == (str(file), str(folder))
     assert named_files(["a", "b"], tmp_path, own=folder) == (str(file),)
+
+
+def test_the_version_follows_the_code_the_data_and_the_kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not their times, nor what Python compiles beside them: the same program has the same version on every machine."""
+    core, guest = tmp_path / "hnf_core", tmp_path / "hnf_blender"
+    for path in (core / "data" / "library.json", core / "field" / "a.py", guest / "b.py", guest / "data" / "de.json"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("1")
+    monkeypatch.setattr(inputs, "PACKAGES", (core, guest, tmp_path / "absent"))
+    monkeypatch.setattr(inputs, "DATA", core / "data")
+
+    def version() -> str:
+        inputs.version.cache_clear()
+        return inputs.version()
+
+    try:
+        first = version()
+        os.utime(core / "field" / "a.py", (1.0, 1.0))
+        (core / "field" / "__pycache__").mkdir()
+        (core / "field" / "__pycache__" / "a.pyc").write_text("compiled")
+        (core / "data" / ".hidden").touch()
+        assert version() == first
+        seen = [first]
+        for path in (core / "data" / "library.json", core / "field" / "a.py", guest / "b.py"):
+            path.write_text("2")
+            seen.append(version())
+        (core / "field" / "a.py").rename(core / "field" / "c.py")
+        seen.append(version())
+        monkeypatch.setattr(library, "build_id", lambda: "another")
+        seen.append(version())
+        assert len(set(seen)) == len(seen)
+    finally:
+        inputs.version.cache_clear()
+
+
+def test_the_version_of_the_program_itself_counts_its_own_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    read, content = [], inputs._content
+    monkeypatch.setattr(inputs, "_content", lambda path: (read.append(path), content(path))[1])
+    inputs.version.cache_clear()
+    first = inputs.version()
+    assert {Path(inputs.__file__), inputs.DATA / "library.json"} <= set(read)
+    count = len(read)
+    assert inputs.version() == first
+    assert len(read) == count  # once a process
 
 
 @pytest.mark.parametrize(
