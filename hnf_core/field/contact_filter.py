@@ -22,14 +22,15 @@ from ..material.mechanics import Mechanics
 from ..material.probe import PROBES, Probe
 from .carriers import MODEL_RATE_HZ
 from .modulation import interpolate, states_read
-from .timeline import SAMPLES_PER_STATE, smooth
+from .timeline import SAMPLES_PER_STATE, SHARES, smooth
 
 Float = NDArray[np.float64]
 Response = Callable[[ArrayLike, Mechanics, Probe, ArrayLike], NDArray[np.complex128]]
 
 LEAD, TAIL = 256, 3840
 """Samples of an impulse response kept before and after t = 0 (0.38 s: a 50 Hz contact of 5 % damping is 50 dB down)."""
-_GRID = 8192
+RESPONSE_GRID = 8192
+"""Samples of the period in which a response is worked out."""
 LOADS_PER_OCTAVE = 2
 """Between two loads their responses are blended: over the library's materials 0.6 % of the response's energy norm off
 at worst, 0.02 % in the median (a test holds it)."""
@@ -41,8 +42,7 @@ KEPT_RESPONSES = 512
 Contact = tuple[Mechanics, Probe, float]
 """What is touched, with what, at which load [N]."""
 
-_SHARE = np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE
-STATE_CURVE = np.concatenate([smooth(unit, 1.0 + _SHARE) for unit in np.eye(4)[::-1]])
+STATE_CURVE = np.concatenate([smooth(unit, 1.0 + SHARES) for unit in np.eye(4)[::-1]])
 """What one state of 1 N makes of the force: the spline between the second and the third of four states, oldest last."""
 CURVE_LEAD = 2 * SAMPLES_PER_STATE
 """Samples of it before the state's own."""
@@ -98,7 +98,7 @@ class FilterBank:
             pressing = around[:, -len(table) :]
             # The responses pass nothing constant on, and most hands press evenly for a while.
             rows = np.flatnonzero(np.ptp(pressing, axis=1) > 0.0)
-            fade = weight[rows, None] * (1.0 - _SHARE) + weight[rows + 1, None] * _SHARE
+            fade = weight[rows, None] * (1.0 - SHARES) + weight[rows + 1, None] * SHARES
             out[rows] += fade * (pressing[rows] @ table)
         return out.reshape(-1)
 
@@ -140,7 +140,7 @@ def _given_about(mechanics: Mechanics, probe: Probe, force: float) -> Float:
     them, the earliest first; as many behind as the response lasts, STATES_BEHIND at most."""
     response = impulse_response(force_response, mechanics, probe, force)
     lasts = int(np.flatnonzero(response)[-1]) + 1 - LEAD
-    curve = np.fft.irfft(np.fft.rfft(response, _GRID) * np.fft.rfft(STATE_CURVE, _GRID), _GRID)
+    curve = np.fft.irfft(np.fft.rfft(response, RESPONSE_GRID) * np.fft.rfft(STATE_CURVE, RESPONSE_GRID), RESPONSE_GRID)
     behind = (lasts + len(STATE_CURVE) - CURVE_LEAD - 1) // SAMPLES_PER_STATE
     whole = np.zeros((behind + 1 + STATES_AHEAD, SAMPLES_PER_STATE))
     begin = STATES_AHEAD * SAMPLES_PER_STATE - LEAD - CURVE_LEAD
@@ -155,9 +155,10 @@ def _given_about(mechanics: Mechanics, probe: Probe, force: float) -> Float:
 def impulse_response(response: Response, mechanics: Mechanics, probe: Probe, force: float) -> Float:
     """(LEAD + TAIL,) samples at the model rate from −LEAD on; no DC, no slope, nothing above 4.8 kHz. Zero where less
     than LASTS of its energy is left."""
-    frequency = np.fft.rfftfreq(_GRID, 1.0 / MODEL_RATE_HZ)
+    frequency = np.fft.rfftfreq(RESPONSE_GRID, 1.0 / MODEL_RATE_HZ)
     taper = 0.5 + 0.5 * np.cos(np.pi * np.clip((frequency - 4000.0) / 800.0, 0.0, 1.0))
-    kept = np.roll(np.fft.irfft(response(frequency, mechanics, probe, force) * taper, _GRID), LEAD)[: LEAD + TAIL]
+    whole = np.fft.irfft(response(frequency, mechanics, probe, force) * taper, RESPONSE_GRID)
+    kept = np.roll(whole, LEAD)[: LEAD + TAIL]
     window = np.ones(LEAD + TAIL)
     window[:LEAD] = 0.5 - 0.5 * np.cos(np.pi * (np.arange(LEAD) + 0.5) / LEAD)
     fade = TAIL // 4

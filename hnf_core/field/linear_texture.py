@@ -21,13 +21,13 @@ Float = NDArray[np.float64]
 
 ANGLES = 24
 """Wave-vector angles over 180°, as the angular density is sampled."""
-_GRID_ANGLES = (np.arange(ANGLES) + 0.5) * np.pi / ANGLES
+GRID_ANGLES = (np.arange(ANGLES) + 0.5) * np.pi / ANGLES
 LEAST_LEFT = 1e-9
 """Of a band's power for noise beside its tones. Below it is rounding, and spreading it over log κ would tell 1e-16 from
 0 in the bands between."""
-_LINE_CONCENTRATION = 20.0
+LINE_CONCENTRATION = 20.0
 """Of the angular density of strictly oriented waves: about ±10°."""
-_BUMP_MEAN = np.mean(np.exp(_LINE_CONCENTRATION * (np.cos(2.0 * _GRID_ANGLES) - 1.0)))
+BUMP_MEAN = np.mean(np.exp(LINE_CONCENTRATION * (np.cos(2.0 * GRID_ANGLES) - 1.0)))
 
 
 @dataclass(frozen=True)
@@ -107,20 +107,20 @@ def cut_noise(texture: Texture, weight: Float, carriers: Carriers) -> Float:
 @lru_cache(maxsize=1)
 def _shifts() -> NDArray[np.intp]:
     """(ANGLES / 2,) bands by which a cut moves a wave at each angle downward."""
-    return np.asarray(np.rint(-ARC_PER_OCTAVE * np.log2(np.cos(_GRID_ANGLES[: ANGLES // 2]))), dtype=np.intp)
+    return np.asarray(np.rint(-ARC_PER_OCTAVE * np.log2(np.cos(GRID_ANGLES[: ANGLES // 2]))), dtype=np.intp)
 
 
 @lru_cache(maxsize=8)
 def kernel_tables(carriers: Carriers, hand: float, hand_damping: float) -> Tables:
     """For kernel.contact.linear_contact. hand: stiffness over mass of the hand, sideways; hand_damping: 4 ζ² that."""
     position, bands = np.log2(carriers.arc_centres() * BAND_WAVELENGTHS_M[0]), len(BAND_WAVELENGTHS_M)
-    below, angle = np.clip(np.floor(position).astype(int), 0, bands - 2), _GRID_ANGLES[: ANGLES // 2]
+    below, angle = np.clip(np.floor(position).astype(int), 0, bands - 2), GRID_ANGLES[: ANGLES // 2]
     return Tables(
         features=BAND_FEATURES, kappa=carriers.arc_centres(), below=below, share=np.clip(position - below, 0.0, 1.0),
         nearest_end=np.searchsorted(_nearest(position), np.arange(bands), side="right"), shift=_shifts(),
         wavelength=np.asarray(BAND_WAVELENGTHS_M, dtype=np.float64),
         turn=np.stack([np.cos(2 * angle), np.sin(2 * angle), np.cos(4 * angle), np.sin(4 * angle)], axis=1),
-        per_octave=ARC_PER_OCTAVE, concentration=_LINE_CONCENTRATION, bump_mean=float(_BUMP_MEAN),
+        per_octave=ARC_PER_OCTAVE, concentration=LINE_CONCENTRATION, bump_mean=float(BUMP_MEAN),
         least_left=LEAST_LEFT, hand=hand, hand_damping=hand_damping,
     )  # fmt: skip
 
@@ -162,7 +162,7 @@ def _radial(power: Float, position: Float) -> Float:
 def _angular_density(two: NDArray[np.complex128], four: NDArray[np.complex128], axis: Float, along: Float) -> Float:
     """(ANGLES, n, bands), positive, mean about 1: a truncated series, and lines where the four-fold moment is big."""
     oriented = np.square(np.clip(np.abs(four), 0.0, 1.0))
-    angle = _GRID_ANGLES[:, None, None]
+    angle = GRID_ANGLES[:, None, None]
     # Fejér weights keep the truncated series positive.
     series = 1.0 + 4.0 / 3.0 * _turned(two, 2.0 * angle) + 2.0 / 3.0 * _turned(four, 4.0 * angle)
     facing = _turned(np.exp(2j * axis), 2.0 * angle)
@@ -177,4 +177,4 @@ def _turned(moment: NDArray[np.complex128], angle: Float) -> Float:
 
 def _bump(facing: Float) -> Float:
     """Angular density of oriented waves, mean 1 over ANGLES samples, by cos 2δ of the angle δ to them."""
-    return np.asarray(np.exp(_LINE_CONCENTRATION * (facing - 1.0)) / _BUMP_MEAN)
+    return np.asarray(np.exp(LINE_CONCENTRATION * (facing - 1.0)) / BUMP_MEAN)

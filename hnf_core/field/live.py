@@ -36,18 +36,17 @@ from .live_contact import LivePressing
 from .live_emission import LiveEmission
 from .live_noise import LiveNoise
 from .live_state import LiveState
-from .timeline import SAMPLES_PER_STATE
+from .timeline import SAMPLES_PER_STATE, SHARES
 
 Float = NDArray[np.float64]
 
-_SHARE = np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE
 _FADE_STATES = round(AFTER_CONTACT_S * ACTION_RATE_HZ) - 1
 _HERMITE = np.stack(
     [
-        2 * _SHARE**3 - 3 * _SHARE**2 + 1,
-        _SHARE**3 - 2 * _SHARE**2 + _SHARE,
-        3 * _SHARE**2 - 2 * _SHARE**3,
-        _SHARE**3 - _SHARE**2,
+        2 * SHARES**3 - 3 * SHARES**2 + 1,
+        SHARES**3 - 2 * SHARES**2 + SHARES,
+        3 * SHARES**2 - 2 * SHARES**3,
+        SHARES**3 - SHARES**2,
     ],
     axis=1,
 )
@@ -184,14 +183,14 @@ class LiveSynthesis:
         self._audible = 1.0 if contact else min(fading, before)
         if before == self._audible == 1.0:
             return None
-        return np.asarray(np.sin(0.5 * np.pi * (before + (self._audible - before) * _SHARE)) ** 2)
+        return np.asarray(np.sin(0.5 * np.pi * (before + (self._audible - before) * SHARES)) ** 2)
 
     def _texture(self, travel: float) -> Float:
         carriers, pair, out = self._carriers, self._pair, np.zeros(SAMPLES_PER_STATE)
         if not pair.any():
             return out
         mixed = self._noise.mixed(pair[:, carriers.time_slice], self._sample, SAMPLES_PER_STATE)
-        out += mixed[0] * (1.0 - _SHARE) + mixed[1] * _SHARE
+        out += mixed[0] * (1.0 - SHARES) + mixed[1] * SHARES
         if carriers.arc_count:
             out += self._arc(pair[:, carriers.arc_slice].reshape(2, -1, ARC_PER_OCTAVE), travel)
         return out

@@ -21,7 +21,7 @@ from .hops import ARC_CELLS, ARC_HOP, CELL, MIDDLE
 from .linear_contact import BAND_END_HZ
 from .live_octave import LiveOctave
 from .texture import cell_weights, hop_tables
-from .timeline import SAMPLES_PER_STATE
+from .timeline import SAMPLES_PER_STATE, SHARES
 
 Float = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -31,7 +31,7 @@ SOON = 2.0
 AUDIBLE_SOON = 1.5
 """Octaves up to this factor above the band are made too: the hand may slow down."""
 TURNS_A_CELL = MIDDLE / ARC_CELLS
-_SHARE = (np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE).astype(np.float32)
+_SHARE = SHARES.astype(np.float32)
 _CELLS = np.arange(4)[:, None, None]
 
 

@@ -18,8 +18,16 @@ from ..material.contact import force_response
 from ..material.mechanics import Mechanics
 from ..material.probe import PROBES, Probe
 from .carriers import MODEL_RATE_HZ
-from .contact_filter import LEAD, LIGHTEST_OCTAVE, LOADS_PER_OCTAVE, STATE_CURVE, TAIL
-from .timeline import SAMPLES_PER_STATE
+from .contact_filter import (
+    KEPT_RESPONSES,
+    LEAD,
+    LIGHTEST_OCTAVE,
+    LOADS_PER_OCTAVE,
+    RESPONSE_GRID,
+    STATE_CURVE,
+    TAIL,
+)
+from .timeline import SAMPLES_PER_STATE, SHARES
 
 Float = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
@@ -28,12 +36,9 @@ Load = tuple[int, int]
 Blend = tuple[tuple[Load, float], ...]
 """Shares of the responses."""
 
-_GRID = 8192
 _FLOOR, _FINE = 1e-3, 8
 HEAVIEST_OCTAVE = 4
 """Up to 16 N responses are made ready; a heavier hand's when it comes."""
-KEPT_RESPONSES = 512
-_SHARE = np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE
 STATES = -(-(TAIL + len(STATE_CURVE) - 1) // SAMPLES_PER_STATE)
 """That a sample is made from."""
 
@@ -71,7 +76,7 @@ class LivePressing:
         if not now or states.min() == states.max():
             return np.zeros(SAMPLES_PER_STATE)
         fades: dict[Load, Float] = {}
-        for blend, fade in ((before or now, 1.0 - _SHARE), (now, _SHARE)):
+        for blend, fade in ((before or now, 1.0 - SHARES), (now, SHARES)):
             for load, share in blend:
                 fades[load] = fades.get(load, 0.0) + share * fade
         out = np.zeros(SAMPLES_PER_STATE)
@@ -97,7 +102,7 @@ class LivePressing:
 def _given_later(mechanics: Mechanics, probe: Probe, level: int) -> Float:
     """(STATES, SAMPLES_PER_STATE): what 1 N in a state gives in the steps from its own on."""
     kernel = causal_response(mechanics, probe, 2.0 ** (level / LOADS_PER_OCTAVE))
-    whole = np.fft.irfft(np.fft.rfft(kernel, _GRID) * np.fft.rfft(STATE_CURVE, _GRID), _GRID)[
+    whole = np.fft.irfft(np.fft.rfft(kernel, RESPONSE_GRID) * np.fft.rfft(STATE_CURVE, RESPONSE_GRID), RESPONSE_GRID)[
         : STATES * SAMPLES_PER_STATE
     ]
     table = whole.reshape(STATES, SAMPLES_PER_STATE)
@@ -107,8 +112,8 @@ def _given_later(mechanics: Mechanics, probe: Probe, level: int) -> Float:
 
 def causal_response(mechanics: Mechanics, probe: Probe, force: float) -> Float:
     """(TAIL,) samples of the response to pressing at a load, from t = 0 on; no DC, and nothing above 4.8 kHz."""
-    frequency = np.fft.rfftfreq(_GRID, 1.0 / MODEL_RATE_HZ)
-    whole = np.fft.irfft(force_response(frequency, mechanics, probe, force) * _taper(), _GRID)
+    frequency = np.fft.rfftfreq(RESPONSE_GRID, 1.0 / MODEL_RATE_HZ)
+    whole = np.fft.irfft(force_response(frequency, mechanics, probe, force) * _taper(), RESPONSE_GRID)
     kernel, early = whole[:TAIL].copy(), whole[-LEAD:]
     # A thousandth is left before t = 0, for the contact itself has no band limit. Its sum and first moment go to the
     # start: slow pressing, whose response is the small difference of large terms, is then as weak as it should be.
@@ -123,8 +128,8 @@ def causal_response(mechanics: Mechanics, probe: Probe, force: float) -> Float:
 
 @lru_cache(maxsize=1)
 def _taper() -> Spectrum:
-    """contact_filter's taper, minimum-phase: (_GRID // 2 + 1,)."""
-    size = _FINE * _GRID
+    """contact_filter's taper, minimum-phase: (RESPONSE_GRID // 2 + 1,)."""
+    size = _FINE * RESPONSE_GRID
     frequency = np.fft.rfftfreq(size, 1.0 / MODEL_RATE_HZ)
     taper = 0.5 + 0.5 * np.cos(np.pi * np.clip((frequency - 4000.0) / 800.0, 0.0, 1.0))
     cepstrum = np.fft.irfft(np.log(np.maximum(taper, _FLOOR)), size)

@@ -28,6 +28,7 @@ from .features import (
     QUIET_M_S2,
     TIME_SHARE_DB,
     encode_action,
+    log_amplitude,
     normalised_tokens,
 )
 from .field import LOG_AMPLITUDE_CEILING, Field
@@ -146,7 +147,7 @@ class PlainEmission:
             at += encoded.shape[1]
         if linear is not None and time_power is not None:
             count = len(time_power)
-            x[at : at + count] = (_log_amplitude(time_power) + 5.0) / 3.0
+            x[at : at + count] = (log_amplitude(time_power) + 5.0) / 3.0
             bounce = self._mass * math.sqrt(linear.normal) / load
             x[at + count :] = (
                 0.25 * math.log(float(linear.power.sum()) + QUIET_M_S2**2),
@@ -165,8 +166,8 @@ class PlainEmission:
             alpha = np.concatenate([alpha[:first], self._expansion @ alpha[first:]])
         if linear is not None and time_power is not None:
             prior = self._prior
-            prior[carriers.time_slice] = _log_amplitude(time_power * 10.0 ** (TIME_SHARE_DB / 10.0))
-            prior[carriers.arc_slice] = _log_amplitude(linear.noise if gains is not None else linear.power)
+            prior[carriers.time_slice] = log_amplitude(time_power * 10.0 ** (TIME_SHARE_DB / 10.0))
+            prior[carriers.arc_slice] = log_amplitude(linear.noise if gains is not None else linear.power)
             alpha = alpha + self._skip * prior
         if config.emission == "log":
             alpha = np.exp(np.minimum(alpha, LOG_AMPLITUDE_CEILING))
@@ -215,7 +216,3 @@ def _ringing(gains: Float, linear: LinearState, count: int) -> Float:
     # Everything outside falls into one bin at either end.
     place = np.minimum(np.maximum(linear.low + _PLACES, -1), count) + 1
     return np.asarray(np.bincount(place.ravel(), power.ravel(), count + 2)[1:-1], dtype=np.float64)
-
-
-def _log_amplitude(power: Float) -> Float:
-    return np.asarray(0.5 * np.log(power + QUIET_M_S2**2))

@@ -12,17 +12,14 @@ from numpy.typing import NDArray
 
 from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M
 from .carriers import ARC_PER_OCTAVE, Carriers
-from .linear_texture import ANGLES, left_for_noise, texture_of
+from .linear_texture import ANGLES, BUMP_MEAN, GRID_ANGLES, LINE_CONCENTRATION, left_for_noise, texture_of
 
 Float = NDArray[np.float64]
 
 _HALF = ANGLES // 2
-_ANGLE = ((np.arange(ANGLES) + 0.5) * np.pi / ANGLES)[:, None]
+_ANGLE = GRID_ANGLES[:, None]
 _TWO, _FOUR = np.exp(-2j * _ANGLE) * (4.0 / 3.0), np.exp(-4j * _ANGLE) * (2.0 / 3.0)
 _FOLDS = np.array([[-2j], [-4j]])
-_CONCENTRATION = 20.0
-"""linear_texture's own; a test holds the two ways equal."""
-_BUMP_MEAN = float(np.mean(np.exp(_CONCENTRATION * (np.cos(2.0 * _ANGLE) - 1.0))))
 
 
 @dataclass(frozen=True)
@@ -88,8 +85,8 @@ class LiveTexture:
         oriented = np.minimum(np.square(four.real) + np.square(four.imag), 1.0)
         series = 1.0 + two.real * _TWO.real - two.imag * _TWO.imag + four.real * _FOUR.real - four.imag * _FOUR.imag
         turned = np.cos(2.0 * (_ANGLE - axis))
-        line = along * np.exp(_CONCENTRATION * (turned - 1.0)) + (1.0 - along) * np.exp(
-            -_CONCENTRATION * (turned + 1.0)
+        line = along * np.exp(LINE_CONCENTRATION * (turned - 1.0)) + (1.0 - along) * np.exp(
+            -LINE_CONCENTRATION * (turned + 1.0)
         )
-        density = np.maximum((1.0 - oriented) * series + oriented * line / _BUMP_MEAN, 0.0)
+        density = np.maximum((1.0 - oriented) * series + oriented * line / BUMP_MEAN, 0.0)
         return np.asarray(density[:_HALF] + density[: _HALF - 1 : -1])

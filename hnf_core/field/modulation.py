@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .carriers import ARC_PER_OCTAVE, Carriers
-from .timeline import SAMPLES_PER_STATE
+from .timeline import SAMPLES_PER_STATE, SHARES
 
 Float = NDArray[np.float64]
 ArcSource = Callable[[int, int, int], Float]
 """(octave, start, count) → (24, count): band signals of an octave on its spatial grid."""
 
-_SHARES = np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE
 _TAPS = 4
 """Of the cubic interpolation between spatial samples."""
 
@@ -24,7 +23,7 @@ def interpolate(amplitude: Float, start: int, count: int) -> Float:
     first, states = start // SAMPLES_PER_STATE, len(amplitude)
     after = (start + max(count, 1) - 1) // SAMPLES_PER_STATE + 1
     near = amplitude[np.clip(np.arange(first, after + 1), 0, states - 1)].T[:, :, None]
-    between = (near[:, :-1] * (1.0 - _SHARES) + near[:, 1:] * _SHARES).reshape(amplitude.shape[1], -1)
+    between = (near[:, :-1] * (1.0 - SHARES) + near[:, 1:] * SHARES).reshape(amplitude.shape[1], -1)
     return np.asarray(between[:, start - first * SAMPLES_PER_STATE :][:, :count].T)
 
 

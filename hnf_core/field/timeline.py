@@ -16,6 +16,8 @@ from .stroke import StrokeInput
 Float = NDArray[np.float64]
 
 SAMPLES_PER_STATE = round(MODEL_RATE_HZ / ACTION_RATE_HZ)
+SHARES = np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE
+"""Of the way from a state to the next, at the samples between them."""
 
 
 def states_of(stroke: StrokeInput) -> tuple[Action, NDArray[np.int32]]:
@@ -161,4 +163,4 @@ def _beside(t: Float) -> tuple[Float, ...]:
     )
 
 
-_WEIGHTS = _through(np.arange(SAMPLES_PER_STATE) / SAMPLES_PER_STATE)
+_WEIGHTS = _through(SHARES)
