@@ -200,7 +200,7 @@ class Player:
             if self.playing is not None:
                 self.playing.stream.stop()
             device = stream.start()
-            made_up = ", its response made up for" if stages else ""
+            made_up = ", with its response corrected" if stages else ""
             said = f"{note}; {at_most(profile, device)}{made_up}"
             with self._lock:
                 self._still_wanted()

@@ -121,8 +121,8 @@ def _announcement(
     arguments: argparse.Namespace, found: Acceleration, profile: ActuatorProfile, device: SinkFormat
 ) -> str:
     owed_ms = 1e3 * device.queue_frames / device.rate_hz
-    owes = "" if isinstance(parse_target(arguments.to), FileTarget) else f", owes at most {owed_ms:.0f} ms"
-    made_up = ", its response made up for" if profile.response is not None and not arguments.raw else ""
+    owes = "" if isinstance(parse_target(arguments.to), FileTarget) else f", delay at most {owed_ms:.0f} ms"
+    made_up = ", with its response corrected" if profile.response is not None and not arguments.raw else ""
     channels = f" on {found.samples.shape[1]} channels" if found.samples.shape[1] > 1 else ""
     return (
         f"{_names(arguments)}: {found.duration_s:.2f} s at {found.rate_hz:g} Hz{channels}, {found.unit}, "

@@ -26,7 +26,7 @@ def warning_of(found: Foretold, profile: ActuatorProfile, device: SinkFormat, la
     if found.peak and largest_m_s2 > most:
         reasons.append(f"{largest_m_s2:.3g} m/s² is more than the {most:.4g} m/s² of '{profile.title}'")
     elif found.peak and profile.response is not None:
-        reasons.append(f"with the response of '{profile.title}' made up for, it is more than its {most:.4g} m/s²")
+        reasons.append(f"with the response of '{profile.title}' corrected, it is more than its {most:.4g} m/s²")
     elif found.peak:
         reasons.append(f"between its samples it is more than the {most:.4g} m/s² of '{profile.title}'")
     if found.slew:

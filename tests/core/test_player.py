@@ -114,7 +114,7 @@ def test_a_measured_response_is_made_up_for(tmp_path: Path) -> None:
         began = it.wait_for(lambda each: isinstance(each, Began))
         assert it.status(1, "ended").problem == ""
     assert isinstance(began, Began)
-    assert "its response made up for" in began.note
+    assert "its response corrected" in began.note
     profile = read_profile(tmp_path / "mine.json")
     source = Recorded(read_acceleration(Path(one), profile.limits).samples, 10_000.0)
     stages = stages_of(profile, 10_000.0, 1)

@@ -51,7 +51,7 @@ def case_of(name: str, tmp_path: Path) -> tuple[list[object], str]:
     weak = of_gains(frequency, np.where(frequency < 300.0, 0.05, 1.0).astype(complex))
     write_profile(profile, replace(GENERIC, name="weak", title="Weak", response=weak))
     words = [tone(tmp_path / "x.wav", 8.0, 100.0), "--profile", profile]
-    return words, "with the response of 'Weak' made up for, it is more than its 30 m/s²"
+    return words, "with the response of 'Weak' corrected, it is more than its 30 m/s²"
 
 
 @pytest.mark.parametrize("name", ["peak", "steep", "hot", "made up"])
