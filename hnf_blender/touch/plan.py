@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 
 from hnf_core.tactile.tactile_map import Route
 
-from .options import with_option
+from .options import counted, with_option
 from .report import Failed, Skipped
 
 LOOKS = 2
@@ -28,12 +28,13 @@ def patches_at_most(length_m: float) -> int:
 @dataclass(frozen=True)
 class SlotPlan:
     """How the relief of a slot will come to be known. material: the Blender material's name. seconds: of one close-up,
-    roughly."""
+    roughly. unless: what, seen in the close-up, makes it prior after all; "" = nothing."""
 
     material: str
     route: Route
     why: str
     seconds: float = PATTERN_SECONDS
+    unless: str = ""
 
 
 def closeup_seconds(slots: Iterable[SlotPlan]) -> float:
@@ -131,6 +132,13 @@ class Plan:
         record = {**asdict(self), "estimate": estimate}
         return json.dumps(record, indent=1, ensure_ascii=False)
 
+    def _cost_in_words(self) -> str:
+        """Upper bounds, in what the lines above count."""
+        parts = [counted(self.close_ups, "close-up"), counted(len(self.needed) + self.pictures, "picture")]
+        if self.predictions:
+            parts.append(f"{counted(self.predictions, 'relief')} estimated from pictures")
+        return f"at most {', '.join(parts[:-1])} and {parts[-1]}, about {self.seconds:.0f} s"
+
     def as_text(self) -> str:
         lines = []
         if self.needed:
@@ -138,11 +146,10 @@ class Plan:
             for entry in self.needed:
                 lines.append(
                     f"  {entry.stroke}: on {entry.object}, {entry.material or 'no material'}; "
-                    f"at most {entry.patches} close-ups ({entry.why})"
+                    f"at most {counted(entry.patches, 'close-up')} ({entry.why})"
                 )
                 lines += [_route_line(slot, entry.predictions) for slot in entry.slots]
-            predictions = f" and {self.predictions} predictions" if self.predictions else ""
-            lines.append(f"  at most {self.renders} renders{predictions}, about {self.seconds:.0f} s")
+            lines.append(f"  In all {self._cost_in_words()}.")
         if self.probes:
             lines.append("Probes:")
             for probe in self.probes:
@@ -164,8 +171,9 @@ class Plan:
 def _route_line(slot: SlotPlan, predictions: int) -> str:
     said = ""
     if slot.route is Route.PREDICTED:
-        said = f", at most {predictions} patches, {predictions * PREDICTION_SECONDS:.1f} s"
-    return f"    {slot.material or 'no material'}: {slot.route.value} ({slot.why}){said}"
+        said = f", at most {counted(predictions, 'close-up')}, {predictions * PREDICTION_SECONDS:.1f} s"
+    unless = f"; prior if {slot.unless}" if slot.unless else ""
+    return f"    {slot.material or 'no material'}: {slot.route.value} ({slot.why}{unless}){said}"
 
 
 def _bullets(skipped: Sequence[Skipped]) -> list[str]:

@@ -6,12 +6,14 @@ from typing import Any
 
 from hnf_core.tactile.tactile_map import Route
 
+from ..bridge.look import COARSEST_WAVE_M
 from ..bridge.scene_names import object_in
 from ..bridge.shader_colour import Shows
-from .jobs import Job, Session
+from .jobs import Gathered, Job, Session
 from .plan import IMAGE_SECONDS, PATTERN_SECONDS, SlotPlan
 
 CHOSEN = "chosen by the artist"
+TOO_COARSE = f"its picture shows no waves below {COARSEST_WAVE_M * 1e3:g} mm, or one colour"
 
 
 def slot_plans(session: Session, job: Job) -> tuple[SlotPlan, ...]:
@@ -43,8 +45,24 @@ def _slot_plan(material: str, shown: Shows, chosen: bool, missing: str, seen: st
     if shown is Shows.PICTURE and not chosen:
         if missing:
             return SlotPlan(material, Route.PRIOR, missing)
-        return SlotPlan(material, Route.PREDICTED, seen)
+        return SlotPlan(material, Route.PREDICTED, seen, unless=TOO_COARSE)
     if chosen:
         skipped = "; its picture is skipped" if shown is Shows.PICTURE else ""
         return SlotPlan(material, Route.PRIOR, f"{CHOSEN}{skipped}")
     return SlotPlan(material, Route.PRIOR, "its shader has neither relief nor picture")
+
+
+def kept_reliefs(session: Session, found: Gathered) -> list[str]:
+    """Of the materials named on the command line, what a shader's own relief leaves of them: one line a slot."""
+    notes = []
+    for name in dict.fromkeys(job.object_name for job in found.jobs):
+        obj, choices = object_in(session.scene, name), session.choices(name)
+        facts = session.facts(obj)
+        for slot, (material, shown) in enumerate(zip(facts.materials, facts.shows, strict=True)):
+            library = choices.get(slot) or choices.get(None)
+            if library and shown is Shows.RELIEF:
+                notes.append(
+                    f"material '{material}' on '{name}': the relief of its shader is kept; {library} gives friction, "
+                    "stiffness and the bands that this relief does not show."
+                )
+    return notes

@@ -28,7 +28,7 @@ from .outside import outside_files, source_hash
 from .plan import TYPICAL_PATH_M, Fresh, Needed, Plan, patches_at_most
 from .probe_run import keep_strokes, run_probes, with_probes, without_strokes
 from .report import Report, StrokeReport
-from .routes import slot_plans
+from .routes import kept_reliefs, slot_plans
 from .steps import CACHE_NAME, bake_steps, timed
 from .tell import tell
 from .tokens import store_tokens
@@ -67,6 +67,7 @@ def _prepared(request: TouchRequest) -> _Prepared:
     opened = time.monotonic()
     session = _session(scene, request)
     found = without_strokes(session) if request.only_probes else gather(session)
+    found.notes += kept_reliefs(session, found)
     files = outside_files(_source(request))
     source = source_hash(_source(request), files)
     earlier = earlier_run(request.out)

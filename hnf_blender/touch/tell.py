@@ -11,7 +11,7 @@ from pathlib import Path
 from hnf_core.cli.program import program
 from hnf_core.cli.touch import TouchRequest
 
-from .options import with_option
+from .options import counted, with_option
 from .probe_report import probe_line
 from .report import REPORT_NAME, Report, StrokeReport
 
@@ -83,8 +83,3 @@ def _next_steps(report: Report, strokes: list[StrokeReport], folder: Path) -> It
         if report.baked_blend:
             yield "Open", f"{folder / report.baked_blend} in Blender: the strokes are curves that you can edit"
     yield "Read", f"{folder / REPORT_NAME}: every figure"
-
-
-def counted(count: int, thing: str) -> str:
-    """ "1 stroke", "2 strokes"."""
-    return f"{count} {thing}" if count == 1 else f"{count} {thing}s"

@@ -22,7 +22,10 @@ def test_a_picture_is_read_once_and_its_map_is_told(tmp_path, monkeypatch, capsy
     photo_plate()
     scene, out = save_scene(tmp_path / "scene.blend"), tmp_path / "out"
     touch(scene, out, *WORDS, "--plan")
-    assert "predicted (no relief, but its colour varies)" in capsys.readouterr().out
+    assert (
+        "predicted (no relief, but its colour varies; prior if its picture shows no waves below 1 mm"
+        in capsys.readouterr().out
+    )
     code, report = touch(scene, out, *WORDS)
     assert code == 0
     (entry,) = report["probes"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from touch_scene import PLATE, ridge_plate, save_scene
+from touch_scene import PLATE, ridge_plate, save_scene, touch
 
 from hnf_blender.cli import main
 
@@ -28,3 +28,29 @@ def test_a_plan_needs_no_folder_and_leaves_none(tmp_path, capsys, words) -> None
     assert capsys.readouterr() == without
     assert ("nobody" in without.out + without.err) == (code == 1) == ("nobody" in words)
     assert list(tmp_path.iterdir()) == [scene]
+
+
+def test_a_chosen_material_is_said_to_be_a_part_where_the_shader_has_a_relief(tmp_path, capsys) -> None:
+    ridge_plate()
+    scene = save_scene(tmp_path / "scene.blend")
+    said = f"material '{PLATE} plastic' on '{PLATE}': the relief of its shader is kept; denim gives friction, stiffness"
+    assert main(["touch", str(scene), "--plan", "--material", f"{PLATE}=denim"]) == 0
+    assert said in capsys.readouterr().out
+    code, report = touch(scene, tmp_path / "out", "--material", f"{PLATE}=denim")
+    assert code == 0
+    assert report["strokes"][0]["library_material"] == "denim"
+    assert report["strokes"][0]["routes"]["2 mm"] == "measured"
+    assert said in capsys.readouterr().err
+    assert main(["touch", str(scene), "--plan"]) == 0
+    assert "is kept" not in capsys.readouterr().out
+
+
+def test_the_parts_and_the_whole_are_counted_alike(tmp_path, capsys) -> None:
+    ridge_plate()
+    scene = save_scene(tmp_path / "scene.blend")
+    words = ("--stroke", "left-right-soft", "--on", PLATE, "--stroke", "rub-slow", "--on", PLATE)
+    assert main(["touch", str(scene), "--plan", *words]) == 0
+    said = capsys.readouterr().out
+    assert said.count("at most 7 close-ups (not baked yet)") == 2
+    assert "In all at most 14 close-ups and 2 pictures, about " in said
+    assert "renders" not in said

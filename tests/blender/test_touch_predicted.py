@@ -60,10 +60,11 @@ def test_the_plan_says_which_route_and_what_it_costs(tmp_path, capsys) -> None:
     capsys.readouterr()
     assert touch(scene, tmp_path / "out", "--plan")[0] == 0
     said = capsys.readouterr().out
-    assert f"{PHOTO_PLATE}: predicted (no relief, but its colour varies), at most 3 patches, 0.3 s" in said
+    assert f"{PHOTO_PLATE}: predicted (no relief, but its colour varies; prior if " in said
+    assert "below 1 mm, or one colour), at most 3 close-ups, 0.3 s" in said
     assert "Ridges: measured (from the bump, normal or displacement in its shader)" in said
     assert "Bare: prior (its shader has neither relief nor picture)" in said
-    assert "at most 7 renders and 3 predictions" in said
+    assert "In all at most 3 close-ups, 1 picture and 3 reliefs estimated from pictures, about " in said
     touch(scene, tmp_path / "out", "--plan", "--json")
     plan = json.loads(capsys.readouterr().out)
     assert [slot["route"] for slot in plan["needed"][0]["slots"]] == ["predicted", "measured", "prior"]
@@ -81,7 +82,7 @@ def test_the_plan_says_that_weights_are_missing(tmp_path, capsys, monkeypatch) -
     touch(scene, tmp_path / "out", "--plan")
     said = capsys.readouterr().out
     assert f"{PHOTO_PLATE}: prior (its relief could be estimated from its picture, but the weights" in said
-    assert "predictions" not in said
+    assert "estimated from pictures" not in said
 
 
 def test_an_unknown_encoder_is_refused(tmp_path, capsys) -> None:

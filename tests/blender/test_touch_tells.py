@@ -11,8 +11,9 @@ import pytest
 from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, touch
 
 from hnf_blender.cli import main
+from hnf_blender.touch.options import counted
 from hnf_blender.touch.report import Report
-from hnf_blender.touch.tell import closing, counted
+from hnf_blender.touch.tell import closing
 from hnf_core.cli.program import program
 from hnf_core.export.wav import read_wav
 
