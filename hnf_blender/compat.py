@@ -39,11 +39,6 @@ def use_multilayer_exr(render: Any) -> None:
     settings.exr_codec = "NONE"
 
 
-def eevee_engine() -> str:
-    """Identifier of EEVEE (the rewritten one) in render.engine."""
-    return "BLENDER_EEVEE" if version() >= (5, 0, 0) else "BLENDER_EEVEE_NEXT"
-
-
 def use_nodes(material: Any) -> bool:
     """Does Blender shade the material by its nodes? Always so from 5.0 on."""
     if material.node_tree is None:

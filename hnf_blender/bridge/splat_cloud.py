@@ -162,17 +162,6 @@ def write_point_tokens(cloud: Any, tokens: PointTokens) -> None:
     _put(mesh, CONFIDENCE_ATTRIBUTE, "FLOAT", "value", np.ascontiguousarray(tokens.confidence, dtype=np.float32))
 
 
-def read_point_tokens(cloud: Any) -> PointTokens | None:
-    """What write_point_tokens stored; None where there is nothing."""
-    mesh, count = cloud.data, len(cloud.data.vertices)
-    if any(mesh.attributes.get(name) is None for name in (TOKEN_ATTRIBUTE, CONFIDENCE_ATTRIBUTE)):
-        return None
-    tokens = PointTokens(np.empty(count, dtype=np.int32), np.empty(count, dtype=np.float32))
-    mesh.attributes[TOKEN_ATTRIBUTE].data.foreach_get("value", tokens.index)
-    mesh.attributes[CONFIDENCE_ATTRIBUTE].data.foreach_get("value", tokens.confidence)
-    return tokens
-
-
 def remove_point_tokens(cloud: Any) -> int:
     """Take off what write_point_tokens left; returns the bytes freed. Raises SceneError as require_writable."""
     require_writable(cloud)

@@ -168,11 +168,6 @@ def touch_hash(stroke: SceneStroke, seed: int) -> str:
     return content_hash(steady_bytes(stroke.samples.force), str(seed), stroke.probe)
 
 
-def stroke_hash(stroke: SceneStroke) -> str:
-    """Hash of everything of a stroke that shapes its signal, apart from the surface's own shape and materials."""
-    return content_hash(path_hash(stroke), touch_hash(stroke, stroke.seed), stroke.material)
-
-
 def _surface_object(
     obj: Any,
     scene: Any,

@@ -27,7 +27,6 @@ from .outside_python import clean_environment
 from .records import to_text
 
 WORKER = Path(__file__).with_name("learn_worker.py")
-TITLE = "Learn a material"
 KILLED = "Nothing was changed. Learn it again with the same choices to resume. If it happens again, "
 KILLED += "close other programs (memory)."
 
@@ -107,7 +106,7 @@ class Learning(ChildJob):
             self._training_since = self._training_since or now
             if step.done > 1:  # the first epoch's share of the time is not known before it is over
                 left = (now - self._training_since) / step.done * (step.total - 1 - step.done)
-        STATE.job = JobStatus(TITLE, step.stage, step.done, step.total, now - self.started, left)
+        STATE.job = JobStatus(step.stage, step.done, step.total, now - self.started, left)
 
 
 def learn_in_line(python: str, lesson: Lesson, slot: Slot) -> LastJob:

@@ -31,7 +31,6 @@ from .probe import take_probe
 from .work import wanted_curves, work_steps
 
 PACKAGE = __name__.rpartition(".jobs.")[0]
-TITLE = "Touch bake"
 TICK_S = 0.02
 """No new comparison begins in a tick after this; one, of the shape of 100,000 faces, may take twice as long again."""
 KILLED = "Nothing was changed. Bake again: close-ups that were finished are kept. If it happens again, close other "
@@ -129,7 +128,7 @@ class Bake(ChildJob):
         done = step.done + step.share
         if self._working_since is not None and done > 0.0:
             left = (now - self._working_since) / done * (step.total - done)
-        STATE.job = JobStatus(TITLE, step.stage, step.done, step.total, now - self.started, left)
+        STATE.job = JobStatus(step.stage, step.done, step.total, now - self.started, left)
 
 
 def bake_in_line(scene: Any, view_layer: Any, only: Sequence[str] = ()) -> LastJob:

@@ -56,11 +56,6 @@ class Outputs:
     def position_s(self) -> float:
         return self._playing.position_s
 
-    @property
-    def is_actuator(self) -> bool:
-        """Does what plays, or played last, go to an actuator?"""
-        return self._playing is not self._speakers
-
     def share(self, shared: bool) -> bool:
         """The timeline begins or ends to play: speakers sound on Blender's own device meanwhile. True where they are
         what is chosen."""

@@ -49,7 +49,6 @@ class StrokeStatus(NamedTuple):
 class JobStatus(NamedTuple):
     """stage, done of total, elapsed_s, left_s (None = not known yet): of the running job, for panels and status bar."""
 
-    title: str
     stage: str
     done: int
     total: int

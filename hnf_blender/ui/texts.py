@@ -104,7 +104,7 @@ def byte_text(count: int) -> str:
 
 def job_text(job: JobStatus) -> str:
     """Stage and stroke of the running job: "Stroke 3, close-ups: 3 of 11". Its last step saves, and is no stroke."""
-    stage, strokes = job.stage or job.title, job.total - 1
+    stage, strokes = job.stage, job.total - 1
     if strokes < 1:
         return stage
     return f"{stage}: {tr('{done} of {total}').format(done=min(job.done + 1, strokes), total=strokes)}"

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hnf_blender.bridge.storage import CONFIDENCE_ATTRIBUTE, TOKEN_ATTRIBUTE, PointTokens
 from hnf_core.scene.splats.cloud import Splats
 from hnf_core.scene.splats.inria import write_inria
 
@@ -19,6 +20,17 @@ FINE_M, LONG_M = 0.16e-3, 1.6e-3
 COARSE_M = 2.2e-3
 """Of those on its other sides."""
 STRIPE_M = 2.4e-3
+
+
+def read_point_tokens(cloud) -> PointTokens | None:
+    """What write_point_tokens stored; None where there is nothing."""
+    mesh, count = cloud.data, len(cloud.data.vertices)
+    if any(mesh.attributes.get(name) is None for name in (TOKEN_ATTRIBUTE, CONFIDENCE_ATTRIBUTE)):
+        return None
+    tokens = PointTokens(np.empty(count, dtype=np.int32), np.empty(count, dtype=np.float32))
+    mesh.attributes[TOKEN_ATTRIBUTE].data.foreach_get("value", tokens.index)
+    mesh.attributes[CONFIDENCE_ATTRIBUTE].data.foreach_get("value", tokens.confidence)
+    return tokens
 
 
 def slab(*, degree: int = 0) -> Splats:

@@ -246,13 +246,13 @@ def test_without_sounddevice_a_sound_output_is_played_whole(virtual, monkeypatch
 def test_what_speakers_play_stops_where_an_actuator_begins(virtual, monkeypatch) -> None:
     outputs = Outputs()
     outputs.play(tone(5.0))
-    assert outputs.is_actuator
+    assert outputs._playing is not outputs._speakers
     assert outputs.is_playing
     ACTUATOR.chosen = SPEAKERS
     sounded = []
     monkeypatch.setattr(outputs._speakers, "sound", lambda samples, rate, **_: sounded.append(samples))
     outputs.play(tone(0.1, gain_db=6.0))
-    assert not outputs.is_actuator
+    assert outputs._playing is outputs._speakers
     assert not LINK.is_playing
     assert np.abs(sounded[0]).max() == pytest.approx(0.2 * 10.0 ** (6.0 / 20.0), rel=0.01)
     outputs.release()

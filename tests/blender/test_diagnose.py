@@ -89,7 +89,7 @@ def test_clearing_the_cache_deletes_its_files_and_nothing_else(tmp_path: Path) -
 
 def test_a_bake_keeps_its_cache(tmp_path: Path) -> None:
     (tmp_path / "patch.npz").write_bytes(bytes(10))
-    STATE.job = JobStatus("Bake", "Close-ups", 1, 2, 0.0, None)
+    STATE.job = JobStatus("Close-ups", 1, 2, 0.0, None)
     with pytest.raises(RuntimeError, match="bake is running"):
         bpy.ops.hnf.cache_clear()
     assert (tmp_path / "patch.npz").is_file()

@@ -113,7 +113,7 @@ def test_every_panel_draws_with_what_this_blender_has(each: type) -> None:
     stroke.keyframe_insert("hnf_stroke.progress", frame=1)
     stroke.hnf_stroke.material = "oak-wood"
     draw()
-    STATE.job = JobStatus("Bake", "Close-ups", 3, 12, 4.0, 11.0)
+    STATE.job = JobStatus("Close-ups", 3, 12, 4.0, 11.0)
     draw()
 
 
@@ -233,7 +233,7 @@ def test_what_was_told_of_another_scene_is_not_shown_here() -> None:
 
 def test_a_running_job_shows_its_stage_and_the_way_out() -> None:
     fill()
-    STATE.job = JobStatus("Bake", "Close-ups", 3, 12, 4.0, 11.0)
+    STATE.job = JobStatus("Close-ups", 3, 12, 4.0, 11.0)
     scene = drawn(panel("HNF_PT_scene"))
     assert scene is not None
     assert "Close-ups: 4 of 11" in scene.words

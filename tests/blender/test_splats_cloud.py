@@ -12,6 +12,7 @@ from builders import add_plane
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mathutils import Matrix
+from splat_builders import read_point_tokens
 
 from hnf_blender.bridge import splat_shown
 from hnf_blender.bridge.splat_cloud import (
@@ -24,7 +25,6 @@ from hnf_blender.bridge.splat_cloud import (
     notes_of,
     place_on,
     read_cloud,
-    read_point_tokens,
     remove_point_tokens,
     write_point_tokens,
 )

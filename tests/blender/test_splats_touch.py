@@ -11,13 +11,13 @@ import bpy
 import numpy as np
 import pytest
 from predicted_scene import small_weights, use_weights
-from splat_builders import FINE_M, HALF_M, METRES, slab, slab_file
+from splat_builders import FINE_M, HALF_M, METRES, read_point_tokens, slab, slab_file
 from touch_scene import signals, touch
 
 from hnf_blender.bridge import splat_closeup, splat_reconstruction
 from hnf_blender.bridge.meshes import surface_mesh
 from hnf_blender.bridge.splat_closeup import HALF_PASS
-from hnf_blender.bridge.splat_cloud import cloud_of, read_cloud, read_point_tokens
+from hnf_blender.bridge.splat_cloud import cloud_of, read_cloud
 from hnf_blender.bridge.splat_frame import cloud_frame
 from hnf_blender.bridge.splat_reconstruction import TouchSurface, read_reconstruction
 from hnf_blender.bridge.storage import UNBAKED, read_tokens
