@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import MaterialError, SceneError, UsageError
+from .cubic import cubic_taps
 from .optics import render_sensor_image, sensor_by_name
 from .spectral import filtered, frequencies, plane_image, plane_of
 from .tactile_map import HeightMap, Route, TactileMap
@@ -203,22 +204,7 @@ def sample_height(tactile_map: HeightMap, plane_xy: ArrayLike, outside: Literal[
     height = np.asarray(tactile_map.height, dtype=np.float64)
     points = np.asarray(plane_xy, dtype=np.float64).reshape(-1, 2) / tactile_map.metres_per_pixel
     rows, columns = height.shape
-    row_index, row_weight = _cubic_taps(rows / 2 - 0.5 - points[:, 1], rows, outside)
-    column_index, column_weight = _cubic_taps(columns / 2 - 0.5 + points[:, 0], columns, outside)
+    row_index, row_weight = cubic_taps(rows / 2 - 0.5 - points[:, 1], rows, outside)
+    column_index, column_weight = cubic_taps(columns / 2 - 0.5 + points[:, 0], columns, outside)
     taps = height[row_index[:, :, None], column_index[:, None, :]]
     return np.asarray(np.einsum("nij,ni,nj->n", taps, row_weight, column_weight))
-
-
-def _cubic_taps(place: Float, size: int, outside: str) -> tuple[NDArray[np.intp], Float]:
-    """Four neighbours (n, 4) of fractional indices and their Keys weights."""
-    if outside == "clamp":
-        place = np.clip(place, 0.0, size - 1.0)
-    base = np.floor(place).astype(np.intp)
-    distance = np.abs((place - base)[:, None] - np.array([-1.0, 0.0, 1.0, 2.0]))
-    near = (1.5 * distance - 2.5) * distance**2 + 1.0
-    far = ((-0.5 * distance + 2.5) * distance - 4.0) * distance + 2.0
-    index = base[:, None] + np.arange(-1, 3)
-    if outside == "mirror":
-        index = index % (2 * size)
-        index = np.where(index >= size, 2 * size - 1 - index, index)
-    return np.clip(index, 0, size - 1), np.where(distance <= 1.0, near, far)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import UsageError
+from .cubic import cubic_taps
 from .height import fill_masked
 from .spectral import filtered, frequencies
 
@@ -214,19 +215,13 @@ def _views(layers: list[Float], metres_per_pixel: float, pitch: float, corners: 
 
 
 def _at(values: Float, rows: Float, columns: Float) -> Float:
-    """Values at fractional rows and columns, by cubic convolution along each axis (Keys 1981, a = −1/2)."""
+    """Values at fractional rows and columns, by cubic convolution along each axis."""
     return np.asarray(_taps(rows, values.shape[0]) @ values @ _taps(columns, values.shape[1]).T)
 
 
 def _taps(place: Float, size: int) -> Float:
     """(n, size) weights of the four neighbours of each place; the edge is held."""
-    inside = np.clip(place, 0.0, size - 1.0)
-    base = np.floor(inside).astype(np.intp)
+    index, weight = cubic_taps(place, size)
     weights = np.zeros((len(place), size))
-    for step in (-1, 0, 1, 2):
-        distance = np.abs(inside - (base + step))
-        near = (1.5 * distance - 2.5) * distance**2 + 1.0
-        far = ((-0.5 * distance + 2.5) * distance - 4.0) * distance + 2.0
-        kernel = np.where(distance <= 1.0, near, np.where(distance < 2.0, far, 0.0))
-        np.add.at(weights, (np.arange(len(place)), np.clip(base + step, 0, size - 1)), kernel)
+    np.add.at(weights, (np.arange(len(place))[:, None], index), weight)
     return weights
