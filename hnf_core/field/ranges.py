@@ -7,14 +7,14 @@ the pairs visited is kept beside the two ranges. Directions are kept as sectors 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..action.action import Action
 from ..errors import StrokeError
-from ..material.mechanics import Mechanics
+from ..material.mechanics import MECHANICS_NAMES, Mechanics
 from .linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S
 
 Float = NDArray[np.float64]
@@ -28,7 +28,6 @@ RARE = 1e-4
 not count as trained. Of fewer than 10⁴ states (50 s) every one counts."""
 _AT_ONCE = 2**14
 """States compared with all edges or sectors at a time: an hour has 720 000."""
-MECHANICS_NAMES = tuple(each.name for each in fields(Mechanics))
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..errors import WeightsError
 from ..files import write_bytes
 from ..material.material import Appearance, LibraryMaterial
-from ..material.mechanics import Mechanics, beyond_limits
+from ..material.mechanics import MECHANICS_NAMES, Mechanics, beyond_limits
 from ..material.token import ENCODER_ID, LARGEST_VALUE, TOKEN_DIM
 from ..tensor_file import packed
 from ..weights_file import Kind, WeightsFile, parse_weights, read_weights
@@ -23,7 +23,7 @@ from .carriers import MODEL_RATE_HZ, TIME_BLOCK, Carriers
 from .config import FieldConfig
 from .field import Field
 from .noise import first_bins
-from .ranges import MECHANICS_NAMES, SECTORS, Given, Ranges
+from .ranges import SECTORS, Given, Ranges
 
 DEFAULT_WEIGHTS = Path(__file__).parent.parent / "data" / "field.safetensors"
 HELD_OUT_WEIGHTS = DEFAULT_WEIGHTS.with_name("field-held-out.safetensors")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, fields
 
 
 @dataclass(frozen=True)
@@ -19,6 +19,7 @@ class Mechanics:
 
 
 UNKNOWN = Mechanics()
+MECHANICS_NAMES = tuple(each.name for each in fields(Mechanics))
 MECHANICS_LIMITS = {"stiffness [N/m]": (1e-6, 1e12), "damping ratio": (0.0, 1e3), "friction": (0.0, 1e3)}
 """Of Mechanics, in its order: far outside any material, and well inside what the contact model can compute."""
 

@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from ..errors import FileError, MaterialError
 from ..files import content_hash
-from .mechanics import Mechanics
+from .mechanics import MECHANICS_NAMES, Mechanics
 from .token import ENCODER_ID, ENCODER_NAMES, TOKEN_DIM, joined_encoders, split_encoders
 
 PALETTE_SCHEMA = 1
 MERGE_TOLERANCE = 0.01
 """Tokens merge where no feature differs by more: 0.01 of a level is 0.2 dB of height, well below what is felt."""
-MECHANICS_FIELDS = ("stiffness_n_m", "damping_ratio", "friction")
 _KIND = "hnf-palette"
 _REMEDY = "Bake the object again."
 
@@ -67,7 +66,7 @@ class Palette:
             "__metadata__": {**facts, "digest": self.content_hash},
             "mechanics": {
                 "dtype": "F64",
-                "shape": [len(self), len(MECHANICS_FIELDS)],
+                "shape": [len(self), len(MECHANICS_NAMES)],
                 "data_offsets": [0, len(mechanics)],
             },
             "tokens": {
@@ -116,8 +115,8 @@ class Palette:
             "names": json.dumps(list(self.names)),
         }
         table = np.array(
-            [[_or_nan(getattr(entry, field)) for field in MECHANICS_FIELDS] for entry in self.mechanics], dtype="<f8"
-        ).reshape(len(self), len(MECHANICS_FIELDS))
+            [[_or_nan(getattr(entry, field)) for field in MECHANICS_NAMES] for entry in self.mechanics], dtype="<f8"
+        ).reshape(len(self), len(MECHANICS_NAMES))
         return facts, self.tokens.astype("<f4").tobytes(), table.tobytes()
 
 
@@ -170,9 +169,9 @@ def _unpack(data: bytes) -> tuple[dict[str, str], NDArray[np.float32], NDArray[n
         raise ValueError("it is something else")
     body = data[8 + size :]
     count = int(header["tokens"]["shape"][0])
-    middle = count * len(MECHANICS_FIELDS) * 8
+    middle = count * len(MECHANICS_NAMES) * 8
     if count < 0 or len(body) != middle + count * TOKEN_DIM * 4:
         raise ValueError("its arrays have unexpected shapes")
-    table = np.frombuffer(body, dtype="<f8", count=count * len(MECHANICS_FIELDS)).reshape(count, len(MECHANICS_FIELDS))
+    table = np.frombuffer(body, dtype="<f8", count=count * len(MECHANICS_NAMES)).reshape(count, len(MECHANICS_NAMES))
     values = np.frombuffer(body, dtype="<f4", offset=middle).reshape(count, TOKEN_DIM)
     return facts, values.astype(np.float32), table.astype(np.float64)
