@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 import unicodedata
-from collections.abc import Container, Iterator
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +22,7 @@ from hnf_core.signal import Signal
 
 from ..bridge.quiet import quiet
 from .bake import encoder_of, resolved_wavelength_of, widest_map
+from .choose import SlotMaterial
 from .feel import BakedStroke, Felt, delivered, signal_facts, stroke_input
 from .jobs import Job
 from .report import StrokeReport
@@ -88,12 +89,12 @@ def draw_again(
 def _draw(
     path: Path, job: Job, baked: BakedStroke, action: Action, signal: Signal, confidence: float, view: StrokeView
 ) -> None:
-    main, record, facts = baked.main_material, baked.records[baked.main_patch], signal_facts(baked)
+    record, facts = baked.records[baked.main_patch], signal_facts(baked)
+    slots = dict.fromkeys(baked.patches[index].slot for index in baked.patch_index if index >= 0)
     stroke_picture(
         path, title=job.name, action=action, signal=signal, view=view,
         facts={
-            "Material": f"{main.shader or 'no material'} on {job.object_name} → {facts['library_material']}, "
-                        f"{main.confidence:.0%} ({main.reason})",
+            "Material": material_line(job.object_name, [baked.materials[slot] for slot in slots]),
             "Routes": facts["routes"],
             "Height": _height_line(facts["height_source"], resolved_wavelength_of(record)),
             "Confidence": f"{confidence:.0%}; probe: {baked.stroke.probe}",
@@ -132,6 +133,15 @@ def save_baked(path: Path) -> None:
             ) from error
 
     write_atomically(path, write)
+
+
+def material_line(object_name: str, met: Sequence[SlotMaterial]) -> str:
+    """Each shader and what it is taken for, in the order in which the stroke meets them."""
+    told = [
+        f"{each.shader or 'no material'}{place} → {each.library.name}, {each.confidence:.0%} ({each.reason})"
+        for each, place in zip(met, [f" on {object_name}"] + [""] * len(met), strict=False)
+    ]
+    return "; ".join(told)
 
 
 def _height_line(source: str, resolved: float) -> str:

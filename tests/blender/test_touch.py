@@ -11,6 +11,8 @@ from builders import add_mesh, add_plane, bump_material
 from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, set_keys, signals, spectrum_db, touch
 
 from hnf_blender.bridge.storage import TOKEN_ATTRIBUTE, read_tokens
+from hnf_blender.touch import deliver
+from hnf_core.export.picture import stroke_picture
 
 
 def rms_of_one(scene, out, *words) -> float:
@@ -212,7 +214,11 @@ def test_pressing_and_lifting_without_moving_gives_two_transients(tmp_path) -> N
     assert press > 0.01
 
 
-def test_one_stroke_over_two_materials_meets_both(tmp_path) -> None:
+def test_one_stroke_over_two_materials_meets_both(tmp_path, monkeypatch) -> None:
+    drawn = []
+    monkeypatch.setattr(
+        deliver, "stroke_picture", lambda *paths, **shown: drawn.append(shown) or stroke_picture(*paths, **shown)
+    )
     corners = [(-0.05, -0.03, 0), (0, -0.03, 0), (0.05, -0.03, 0), (-0.05, 0.03, 0), (0, 0.03, 0), (0.05, 0.03, 0)]
     duo = add_mesh("Duo", corners, [(0, 1, 4, 3), (1, 2, 5, 4)], uv=lambda co: (co.x, co.y))
     duo.data.materials.append(bump_material("Wood", wavelength=2e-3, height=4e-5))
@@ -221,7 +227,12 @@ def test_one_stroke_over_two_materials_meets_both(tmp_path) -> None:
     line_stroke("Both", length=0.08)
     _, report = touch(save_scene(tmp_path / "scene.blend"), tmp_path / "out")
     (entry,) = report["strokes"]
-    assert len(entry["library_material"].split(", ")) == 2
+    names = entry["library_material"].split(", ")
+    assert len(names) == 2
+    (facts,) = [each["facts"] for each in drawn]
+    parts = facts["Material"].split("; ")
+    assert any(part.startswith(f"Wood on Duo → {names[0]}, ") for part in parts)
+    assert any(part.startswith(f"Velvet fabric → {names[1]}, ") for part in parts)
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "out" / report["baked_blend"]))
     tokens = read_tokens(bpy.data.objects["Duo"].data)
     assert tokens is not None
