@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 SIZE_PX = (1600, 1000)
 LEFT = 0.025
+MOST_ROWS = 13
+"""Of facts, under a view of 16 to 9: down to the lower edge of the tracks."""
 MAP_SIDE = 0.1
 """Of a tactile map, as a share of the picture's width."""
 MAP_SPREAD = 0.2
@@ -78,6 +80,19 @@ def _short(text: str, most: int) -> str:
     return text if len(text) <= most else text[: most - 1] + "…"
 
 
+def _wrapped(lines: list[tuple[str, str]], letters: int, most: int) -> list[tuple[str, str]]:
+    """(label, row) of each line, cut short only where together they are more than `most` rows; the longest first."""
+    for each in range(most, 0, -1):
+        rows = [
+            (label, row)
+            for label, text in lines
+            for row in textwrap.wrap(text, letters, max_lines=each, placeholder=" …") or [""]
+        ]
+        if len(rows) <= most:
+            break
+    return rows
+
+
 def _draw_view(
     figure: Figure, view: StrokeView | None, tactile: TactileMap | None, lines: list[tuple[str, str]]
 ) -> float:
@@ -85,11 +100,7 @@ def _draw_view(
     they end."""
     left, top, width, line = LEFT, 0.915, 0.475, 0.025
     letters = 82 if tactile is None else 56
-    rows = [
-        (label, row)
-        for label, text in lines
-        for row in textwrap.wrap(text, letters, max_lines=2, placeholder=" …") or [""]
-    ]
+    rows = _wrapped(lines, letters, MOST_ROWS)
     below = max(line * len(rows), 0.0 if tactile is None else MAP_SIDE * SIZE_PX[0] / SIZE_PX[1] + 2 * line)
     bottom = top
     if view is not None:

@@ -73,7 +73,7 @@ def _draw_action(axes: Axes, action: Action, values: NDArray[np.float64], name: 
     axes.set_ylabel(f"{name} [{unit}]")
     axes.set_ylim(0.0, 1.12 * max(float(np.max(values, initial=0.0)), 1e-3))
     away = ~action.contact
-    if away.any():
+    if (away[:-1] & away[1:]).any():  # a single instant has no width to hatch
         low, high = axes.get_ylim()
         axes.fill_between(
             action.time, low, high, where=away.tolist(), facecolor="none", edgecolor="#c3c8ce", hatch="///", lw=0

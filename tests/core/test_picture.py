@@ -6,6 +6,8 @@ import io
 import os
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,7 @@ from hypothesis import strategies as st
 
 from hnf_core.action.action import Action
 from hnf_core.errors import FileError
+from hnf_core.export import picture
 from hnf_core.export.force_colour import force_colour
 from hnf_core.export.path_on_view import StrokeView
 from hnf_core.export.picture import linear_to_srgb, stroke_picture
@@ -170,6 +173,49 @@ def test_a_tactile_map_is_shown_beside_the_facts(tmp_path: Path, route: Route) -
     assert upper[:, 0].max() < lower[:, 0].min() + 3
     blank = pixels(tmp_path / "without.png")
     assert np.sum(np.abs(blank - [red, green, blue]).max(axis=2) < 0.02) == 0
+
+
+def words_of(monkeypatch: pytest.MonkeyPatch, facts: dict[str, str]) -> str:
+    """All that a picture with facts says beside its axes."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    said: list[str] = []
+
+    def drawn(path: Path, size_px: tuple[int, int], draw: Callable[[Figure], None]) -> None:
+        figure = Figure(figsize=(size_px[0] / 100, size_px[1] / 100), dpi=100)
+        FigureCanvasAgg(figure)
+        draw(figure)
+        assert all(0.0 <= text.get_position()[1] <= 1.0 for text in figure.texts)
+        said.extend(text.get_text() for text in figure.texts)
+
+    monkeypatch.setattr(picture, "write_figure", drawn)
+    stroke_picture(Path("a.png"), title="A", action=action(), signal=signal(), view=view(), facts=facts)
+    return " ".join(said)
+
+
+def test_a_reason_is_read_to_its_end_while_there_is_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    reason = " ".join(f"word{number}" for number in range(60))
+    facts = {"Material": reason, "Routes": "8–0.125 mm measured", "Height": "bump", "Confidence": "96%"}
+    said = words_of(monkeypatch, facts)
+    assert reason in said
+    assert "…" not in said
+    endless = words_of(monkeypatch, {**facts, "Material": " ".join([reason] * 9)})
+    assert reason in endless
+    assert "…" in endless
+    assert "0.50 s at 8000 Hz" in endless
+
+
+def test_hatching_is_explained_where_there_is_some(tmp_path: Path) -> None:
+    """A stroke that begins and ends at no force touches in between: an instant is not hatched."""
+    for name, off in (("a.png", 1), ("b.png", 20)):
+        force = np.ones(101)
+        force[:off] = force[-1] = 0.0
+        moves = replace(action(), force=force, contact=force > 0)
+        stroke_picture(tmp_path / name, title="A", action=moves, signal=signal())
+    above = [pixels(tmp_path / name)[64:82, 1300:1475] for name in ("a.png", "b.png")]
+    spread = [float(np.ptp(each, axis=(0, 1)).max()) for each in above]
+    assert spread[0] == 0.0 < 0.3 < spread[1]
 
 
 @settings(max_examples=8, deadline=None)
