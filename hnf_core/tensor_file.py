@@ -27,15 +27,31 @@ def unpacked(data: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
 
     try:
         tensors = load(data)
-        header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
+        header, _ = unframed(data)
         return tensors, dict(header.get("__metadata__", {}))
     except (SafetensorError, ValueError, KeyError, TypeError) as error:
         raise ValueError(f"damaged or not a safetensors file ({error})") from error
 
 
+def framed(header: Mapping[str, Any], separators: tuple[str, str] = (", ", ": ")) -> bytes:
+    """What a file begins with: the length of its header, and the header as JSON, sorted. Its arrays follow."""
+    text = json.dumps(header, sort_keys=True, separators=separators).encode("utf-8")
+    text += b" " * (-len(text) % 8)
+    return len(text).to_bytes(8, "little") + text
+
+
+def unframed(data: bytes) -> tuple[dict[str, Any], bytes]:
+    """A file's header and its arrays' bytes. Raises ValueError where it ends early or the header is no JSON object."""
+    size = int.from_bytes(data[:8], "little")
+    if len(data) < 8 or size > len(data) - 8:
+        raise ValueError("it ends early")
+    header = json.loads(data[8 : 8 + size].decode("utf-8"))
+    if not isinstance(header, dict):
+        raise ValueError("its header is no JSON object")
+    return header, data[8 + size :]
+
+
 def _with_sorted_header(data: bytes) -> bytes:
     # The library writes metadata in random order.
-    size = int.from_bytes(data[:8], "little")
-    header = json.dumps(json.loads(data[8 : 8 + size]), sort_keys=True, separators=(",", ":")).encode()
-    header += b" " * (-len(header) % 8)
-    return len(header).to_bytes(8, "little") + header + data[8 + size :]
+    header, body = unframed(data)
+    return framed(header, (",", ":")) + body

@@ -17,6 +17,7 @@ import numpy as np
 
 from ..errors import FileError, MaterialError
 from ..files import write_bytes
+from ..tensor_file import framed, unframed
 from .fuse import fuse
 from .library import load_library
 from .material import Appearance, LibraryMaterial
@@ -114,9 +115,7 @@ class MaterialFile:
             header[_FIELD] = {
                 "dtype": "U8", "shape": [len(self.field)], "data_offsets": [start, start + len(self.field)]
             }  # fmt: skip
-        text = json.dumps(header, sort_keys=True).encode("utf-8")
-        text += b" " * (-len(text) % 8)
-        return len(text).to_bytes(8, "little") + text
+        return framed(header)
 
     def complete(self, prior: LibraryMaterial) -> LibraryMaterial:
         """This material with nothing left open: what its token does not know comes from prior, and so does each
@@ -198,16 +197,10 @@ def parse_hnf(data: bytes, where: str) -> MaterialFile:
 
 def _unpack(data: bytes) -> tuple[dict[str, str], dict[str, bytes]]:
     """Metadata and the raw bytes of the two arrays. Raises ValueError, KeyError or TypeError on damage."""
-    size = int.from_bytes(data[:8], "little")
-    if len(data) < 8:
-        raise ValueError("it ends early")
-    if size > LARGEST or len(data) > LARGEST:
+    if len(data) >= 8 and max(len(data), int.from_bytes(data[:8], "little")) > LARGEST:
         raise ValueError("it is larger than any material, or something else")
-    if size > len(data) - 8:
-        raise ValueError("it ends early")
-    header = json.loads(data[8 : 8 + size].decode("utf-8"))
+    header, body = unframed(data)
     metadata = {str(key): str(value) for key, value in dict(header["__metadata__"]).items()}
-    body = data[8 + size :]
     arrays = {}
     for name, (dtype, width) in _TENSORS.items():
         entry = header[name]

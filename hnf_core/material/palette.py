@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import FileError, MaterialError
 from ..files import content_hash
+from ..tensor_file import framed, unframed
 from .mechanics import MECHANICS_NAMES, Mechanics
 from .token import ENCODER_ID, ENCODER_NAMES, TOKEN_DIM, joined_encoders, split_encoders
 
@@ -75,9 +76,7 @@ class Palette:
                 "data_offsets": [len(mechanics), len(mechanics) + len(tokens)],
             },
         }
-        text = json.dumps(header, sort_keys=True).encode("utf-8")
-        text += b" " * (-len(text) % 8)
-        return len(text).to_bytes(8, "little") + text + mechanics + tokens
+        return framed(header) + mechanics + tokens
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Palette:
@@ -160,14 +159,10 @@ def _or_nan(value: float | None) -> float:
 
 def _unpack(data: bytes) -> tuple[dict[str, str], NDArray[np.float32], NDArray[np.float64]]:
     """Metadata, tokens (P, TOKEN_DIM) and mechanics (P, 3). Raises ValueError, KeyError or TypeError on damage."""
-    size = int.from_bytes(data[:8], "little")
-    if len(data) < 8 or size > len(data) - 8:
-        raise ValueError("it ends early")
-    header = json.loads(data[8 : 8 + size].decode("utf-8"))
+    header, body = unframed(data)
     facts = dict(header["__metadata__"])
     if facts["kind"] != _KIND:
         raise ValueError("it is something else")
-    body = data[8 + size :]
     count = int(header["tokens"]["shape"][0])
     middle = count * len(MECHANICS_NAMES) * 8
     if count < 0 or len(body) != middle + count * TOKEN_DIM * 4:

@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as arrays
 from hnf_core import weights_file
 from hnf_core.errors import FileError, WeightsError
 from hnf_core.files import content_hash
-from hnf_core.tensor_file import packed, unpacked
+from hnf_core.tensor_file import framed, packed, unframed, unpacked
 from hnf_core.weights_file import LARGEST, Kind, read_limited, read_weights
 
 KIND = Kind("the thing", "thing-1", "this is no thing", "Make another.")
@@ -164,3 +164,15 @@ def test_the_largest_file_is_still_read(tmp_path, monkeypatch):
     path.write_bytes(bytes(101))
     with pytest.raises(WeightsError, match="larger"):
         read_limited(path, "it", "")
+
+
+@given(st.dictionaries(st.text(max_size=8), st.text(max_size=8) | st.integers(), max_size=5), st.binary(max_size=40))
+def test_a_header_and_what_follows_it_come_back(header: dict[str, object], body: bytes) -> None:
+    data = framed(header) + body
+    assert (len(data) - len(body)) % 8 == 0
+    assert unframed(data) == (header, body)
+    for cut in (0, 7, len(data) - len(body) - 1):
+        with pytest.raises(ValueError, match="ends early"):
+            unframed(data[:cut])
+    with pytest.raises(ValueError, match="no JSON object"):
+        unframed((2).to_bytes(8, "little") + b"[]")
