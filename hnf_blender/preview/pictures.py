@@ -29,7 +29,7 @@ LETTER = 2
 
 @dataclass(frozen=True)
 class Theme:
-    """Colours, 0–1."""
+    """Colours, 0–1. force, speed: of the hue that they have in a stroke's picture, hnf_core.export.tracks."""
 
     back: Colour
     ink: Colour
@@ -41,9 +41,9 @@ class Theme:
 
 
 DARK = Theme((0.11, 0.11, 0.12), (0.92, 0.92, 0.92), (0.30, 0.30, 0.32), (0.36, 0.72, 1.0), (1.0, 0.36, 0.30),
-             (1.0, 0.66, 0.25), (0.45, 0.85, 0.55))  # fmt: skip
+             (1.0, 0.66, 0.25), (0.36, 0.85, 0.72))  # fmt: skip
 LIGHT = Theme((0.96, 0.96, 0.96), (0.10, 0.10, 0.10), (0.74, 0.74, 0.76), (0.08, 0.38, 0.74), (0.80, 0.10, 0.06),
-              (0.66, 0.31, 0.0), (0.05, 0.48, 0.18))  # fmt: skip
+              (0.66, 0.31, 0.0), (0.0, 0.46, 0.335))  # fmt: skip
 
 
 @dataclass(frozen=True)

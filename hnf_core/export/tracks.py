@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Okabe & Ito's palette and matplotlib's cividis keep apart under every common colour blindness.
-INK, QUIET, FORCE, SPEED = "#1c2430", "#5c6672", "#d55e00", "#0072b2"
+# Force is orange and speed is green in the add-on's Preview too.
+INK, QUIET, FORCE, SPEED = "#1c2430", "#5c6672", "#d55e00", "#009e73"
 POWER_MAP = "cividis"
 SPAN_DB = 70.0
 TRACKS_BOTTOM = 0.075

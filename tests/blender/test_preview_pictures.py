@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from colorsys import rgb_to_hsv
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -22,6 +24,7 @@ from hnf_blender.preview.pictures import (
 )
 from hnf_blender.preview.placement import Clock, Placed, has_jumped, mix
 from hnf_core.action.action import Action
+from hnf_core.export.tracks import FORCE, SPEED
 from hnf_core.signal import Signal
 
 RATE = 10_000.0
@@ -120,6 +123,13 @@ def hand(count: int = 201) -> Action:
     force = np.linspace(0.0, 1.5, count)
     speed = np.full(count, 0.1)
     return Action(200.0, np.tile([1.0, 0.0], (count, 1)), speed, force, np.arange(count) * 5e-4, force > 0.0)
+
+
+@pytest.mark.parametrize("theme", [DARK, LIGHT])
+def test_force_and_speed_have_the_hues_of_a_strokes_picture(theme) -> None:
+    for own, other in ((theme.force, FORCE), (theme.speed, SPEED)):
+        printed = tuple(int(other[at : at + 2], 16) / 255.0 for at in (1, 3, 5))
+        assert abs(rgb_to_hsv(*own)[0] - rgb_to_hsv(*printed)[0]) < 8.0 / 360.0
 
 
 @pytest.mark.parametrize("theme", [DARK, LIGHT])
