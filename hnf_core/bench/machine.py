@@ -10,7 +10,8 @@ from pathlib import Path
 from .. import __version__
 from ..kernel.library import why_not
 
-PACKAGES = ("numpy", "bpy")
+PACKAGES = ("numpy", "bpy", "torch", "scipy", "OpenEXR", "embreex")
+"""Those whose work may be what was measured: told where they are loaded."""
 
 
 def machine() -> dict[str, str]:
@@ -40,5 +41,16 @@ def _processor() -> str:
 
 def _version(name: str) -> str:
     module = sys.modules[name]
-    app = getattr(module, "app", None)
-    return str(app.version_string if app is not None else getattr(module, "__version__", "?"))
+    if name == "bpy":
+        return str(module.app.version_string)
+    return str(getattr(module, "__version__", None) or _of_its_package(name))
+
+
+def _of_its_package(name: str) -> str:
+    """What pip calls a package that does not say its version itself; "?" where pip does not know it either."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "?"
