@@ -73,7 +73,7 @@ def action_from_contacts(
         y_axis[on] = np.array([patch.y_axis for patch in patches])[patch_index[on]]
     flat = np.stack([np.einsum("nx,nx->n", contacts.velocity, axis) for axis in (x_axis, y_axis)], axis=1)
     size = np.linalg.norm(flat, axis=1)
-    direction = _held(flat / np.where(size > 0.0, size, 1.0)[:, None], (size > REST_M_S) & on)
+    direction = _hold_last_direction(flat / np.where(size > 0.0, size, 1.0)[:, None], (size > REST_M_S) & on)
     step = float(contacts.time[1] - contacts.time[0]) if len(contacts.time) > 1 else 1.0
     return Action(
         rate=round(1.0 / step, 9),
@@ -106,7 +106,7 @@ def _assign(contacts: Contacts, patches: list[Patch], touched: Bool) -> Int32:
     return index
 
 
-def _held(direction: Float, good: Bool) -> Float:
+def _hold_last_direction(direction: Float, good: Bool) -> Float:
     """Each row of direction where good, else the last good one before, or else the first after; +x if none is."""
     if not good.any():
         return np.tile([1.0, 0.0], (len(good), 1))

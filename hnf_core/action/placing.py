@@ -29,8 +29,8 @@ TILT_COSINE = float(np.cos(np.radians(35.0)))
 CANDIDATES = 256
 LARGEST_FACES = 64
 FIT_POINTS = 33
-EVERY = 8
-"""Of a path's points are tried first: most places fail at one of them, and cost no more."""
+COARSE_STRIDE = 8
+"""Every 8th point of a path is tried first: most candidates fail there."""
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ def fits(
     fit, heights = np.full(len(frame[0]), np.inf), np.zeros((len(frame[0]), len(path)))
     left = np.arange(len(fit))
     if len(fit) > 1:
-        height, cosine, slots = lay(mesh, caster, frame, path[::EVERY], size_m)
+        height, cosine, slots = lay(mesh, caster, frame, path[::COARSE_STRIDE], size_m)
         left = np.flatnonzero(_stays(height, cosine, slots == slot, size_m))
     if len(left) == 0:
         return fit, heights

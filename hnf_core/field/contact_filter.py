@@ -16,7 +16,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
 from ..kernel.library import kernel
-from ..kernel.press import Given
+from ..kernel.press import StateResponses
 from ..material.contact import force_response, height_response
 from ..material.mechanics import Mechanics
 from ..material.probe import PROBES, Probe
@@ -48,7 +48,7 @@ CURVE_LEAD = 2 * SAMPLES_PER_STATE
 """Samples of it before the state's own."""
 STATES_AHEAD = -(-(LEAD + CURVE_LEAD) // SAMPLES_PER_STATE)
 STATES_BEHIND = (TAIL + len(STATE_CURVE) - CURVE_LEAD - 1) // SAMPLES_PER_STATE
-"""That the samples from a state to the next are made from, besides it."""
+"""Past states that contribute to the 50 samples after a state."""
 
 
 @dataclass(frozen=True)
@@ -103,8 +103,8 @@ class FilterBank:
         return out.reshape(-1)
 
     @cached_property
-    def _given(self) -> Given:
-        return Given([_given_about(*each) for each in self.contacts], STATES_AHEAD)
+    def _given(self) -> StateResponses:
+        return StateResponses([_state_responses(*each) for each in self.contacts], STATES_AHEAD)
 
     def _used(self, states: slice) -> NDArray[np.intp]:
         return np.flatnonzero(np.any(self.weights[states] > 0.0, axis=0))
@@ -135,9 +135,9 @@ def filter_bank(mechanics: tuple[Mechanics, ...], material: NDArray[np.int32], f
 
 
 @lru_cache(maxsize=KEPT_RESPONSES)
-def _given_about(mechanics: Mechanics, probe: Probe, force: float) -> Float:
-    """(states behind + 1 + STATES_AHEAD, SAMPLES_PER_STATE): what 1 N in the states about a state's samples adds to
-    them, the earliest first; as many behind as the response lasts, STATES_BEHIND at most."""
+def _state_responses(mechanics: Mechanics, probe: Probe, force: float) -> Float:
+    """(states behind + 1 + STATES_AHEAD, SAMPLES_PER_STATE): response of a state's samples to 1 N at each
+    neighbouring state, the earliest first; as many behind as the response lasts, STATES_BEHIND at most."""
     response = impulse_response(force_response, mechanics, probe, force)
     lasts = int(np.flatnonzero(response)[-1]) + 1 - LEAD
     curve = np.fft.irfft(np.fft.rfft(response, RESPONSE_GRID) * np.fft.rfft(STATE_CURVE, RESPONSE_GRID), RESPONSE_GRID)

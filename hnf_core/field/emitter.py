@@ -27,7 +27,14 @@ from .features import (
     moving,
     token_scale,
 )
-from .linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition, hand_of, time_edges, touch_of
+from .linear_contact import (
+    FORCE_FLOOR_N,
+    SPEED_FLOOR_M_S,
+    Condition,
+    contact_columns,
+    lateral_hand_impedance,
+    time_edges,
+)
 from .linear_texture import kernel_tables
 from .lines import QUIET_LINE_M_S2, SHIFTS, START_LOG
 
@@ -51,7 +58,8 @@ def emitter_of(config: FieldConfig, skip: bytes, probe: str, ceiling: float) -> 
     place = np.linspace(0.0, knots - 1.0, carriers.arc_count)
     knot = np.minimum(place.astype(np.int64), max(knots - 2, 0))
     return Emitter(
-        kernel_tables(carriers, *hand_of(probe)), token_shift=shift, token_scale=scale, time_edge=time_edges(carriers),
+        kernel_tables(carriers, *lateral_hand_impedance(probe)), token_shift=shift, token_scale=scale,
+        time_edge=time_edges(carriers),
         skip=np.frombuffer(skip, dtype=np.float32).astype(np.float64), knot=knot, knot_share=place - knot,
         harmonic_shift=np.array(SHIFTS), harmonic_start=np.array(START_LOG),
         inputs=input_size(carriers, config.physics), fixed_at=MECHANICS_AT, fixed=DIRECTION_AT - MECHANICS_AT,
@@ -85,7 +93,7 @@ def answered(kernel: CDLL, emitter: Emitter, condition: Condition, head: Float32
 
 def _states(condition: Condition) -> tuple[Float, Float, Float]:
     """Of n states: tokens (n, TOKEN_DIM), and the columns MOTION and TOUCH."""
-    touch, resonance = touch_of(condition)
+    touch, resonance = contact_columns(condition)
     motion = np.empty((len(resonance), len(compiled.MOTION)))
     motion[:, :2] = condition.direction
     np.maximum(condition.speed, SPEED_FLOOR_M_S, out=motion[:, 2])

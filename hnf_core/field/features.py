@@ -29,11 +29,11 @@ from .lines import prior_columns
 Float = NDArray[np.float64]
 
 QUIET_M_S2 = 2e-4
-"""Amplitude per band below which the linear prediction is not told from silence."""
+"""Amplitude floor per band, m/s²: added in power before the logarithm."""
 TIME_SHARE_DB = -20.0
 """Where the time carriers start beside the arc carriers: geometry belongs to arc length until data say otherwise."""
 PACE_M_S, PITCH_HZ = 0.1, 150.0
-"""What speed and resonance are told beside."""
+"""Reference speed [m/s] and resonance [Hz]; inputs are log ratios to these."""
 PROBE_NAMES = tuple(PROBES)
 MECHANICS_AT = TOKEN_DIM
 PROBE_AT = MECHANICS_AT + 6

@@ -23,8 +23,8 @@ Waves = NDArray[np.complex64]
 
 HOP = TIME_BLOCK // 2
 """Samples of the model rate in a hop of time carriers."""
-HIGHEST = 0.25
-"""Of the rate at which it is kept, in a carrier's frequency."""
+MAX_RELATIVE_FREQUENCY = 0.25
+"""Highest frequency of a carrier over its stored sample rate: half of Nyquist's."""
 MARGINS = (0, 6, 10)
 """Samples kept before and after a hop at the model's rate, its half and its quarter: half of the next one's, and the
 reach of the filter that doubles the rate. At an eighth, amplitudes that jump between states would lose 6 dB more."""
@@ -34,8 +34,9 @@ CELL = 8
 """Spatial samples of an octave in a cell: two cells per shortest wavelength."""
 ARC_CELLS = ARC_BLOCK // CELL
 ARC_HOP = ARC_CELLS // 2
-MIDDLE = 3 * ARC_BLOCK // 64
-"""Cycles per block of what is taken out: an octave has 2/64 to 4/64 of ARC_BLOCK. Even, so that blocks agree."""
+DEMODULATION_CYCLES = 3 * ARC_BLOCK // 64
+"""Heterodyne frequency of an octave, cycles per block: an octave has 2/64 to 4/64 of ARC_BLOCK. Even, so that blocks
+agree."""
 KEPT_TIME_HOPS, KEPT_ARC_HOPS = 48, 256
 """0.45 MB and 98 kB each: 20 s of time, and half a metre or more of path."""
 
@@ -43,7 +44,7 @@ KEPT_TIME_HOPS, KEPT_ARC_HOPS = 48, 256
 def level_of(frequency_hz: float) -> int:
     """How often the model's rate may be halved for a carrier of this frequency."""
     level = LEVELS - 1
-    while level and frequency_hz > HIGHEST * MODEL_RATE_HZ / 2**level:
+    while level and frequency_hz > MAX_RELATIVE_FREQUENCY * MODEL_RATE_HZ / 2**level:
         level -= 1
     return level
 
@@ -123,7 +124,7 @@ def _arc_plan(carriers: Carriers, octave: int) -> tuple[Bins, WavePlan]:
     first = octave * ARC_PER_OCTAVE
     edges = carriers.arc_edges()[first : first + ARC_PER_OCTAVE + 1] * (carriers.arc_step_m(octave) * ARC_BLOCK)
     bins = bins_of(edges, ARC_BLOCK)
-    return bins, wave_plan(bins.starts, block_window(ARC_BLOCK, CELL), MIDDLE)
+    return bins, wave_plan(bins.starts, block_window(ARC_BLOCK, CELL), DEMODULATION_CYCLES)
 
 
 def block_window(size: int, step: int) -> NDArray[np.float64]:

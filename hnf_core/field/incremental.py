@@ -21,7 +21,7 @@ from .field import Field, same_field
 from .modulation import states_read
 from .noise_ahead import noise_ahead
 from .stroke import StrokeInput, Synthesis
-from .synthesis import Prepared, described, prepare, render_block
+from .synthesis import Prepared, prepare, render_block, to_synthesis
 from .timeline import SAMPLES_PER_STATE, states_of
 
 Float = NDArray[np.float64]
@@ -72,7 +72,7 @@ def render(
             if superseded():
                 raise Superseded
             samples[first : first + count] = render_block(prepared, first, count)
-    synthesis = described(field, stroke, prepared, samples)
+    synthesis = to_synthesis(field, stroke, prepared, samples)
     return Rendered(field, stroke, prepared, samples, synthesis, sum(count for _, count in blocks))
 
 

@@ -31,7 +31,7 @@ class Knots:
         rows = self.rows(first, last)
         return Knots(self.at[rows], np.ascontiguousarray(self.amplitude[rows], dtype=np.float32))
 
-    def of(self, carriers: slice) -> Knots:
+    def select_carriers(self, carriers: slice) -> Knots:
         return Knots(self.at, self.amplitude[:, carriers])
 
     def between(self, sample: Samples) -> tuple[NDArray[np.intp], Float32]:
@@ -40,7 +40,7 @@ class Knots:
         span = self.at[row + 1] - self.at[row]
         return row, np.clip((sample - self.at[row]) / span, 0.0, 1.0).astype(np.float32)
 
-    def loud_each(self, carriers: int) -> NDArray[np.bool_]:
+    def nonzero_by_group(self, carriers: int) -> NDArray[np.bool_]:
         """(K / carriers, m) whether any of so many neighbouring amplitudes is not zero."""
         return np.asarray(self.amplitude.reshape(len(self.at), -1, carriers).any(axis=2).T)
 

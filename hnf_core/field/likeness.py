@@ -1,4 +1,4 @@
-"""How far two materials lie apart for the field: in its own scale of a token's features, however each lies."""
+"""Rotation-invariant RMS distance between tokens, in the field's input normalisation."""
 
 from __future__ import annotations
 

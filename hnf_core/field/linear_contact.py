@@ -95,18 +95,19 @@ def upper_fade(frequency: Float) -> Float:
 
 def linear_contact(condition: Condition, carriers: Carriers) -> LinearContact:
     """Expected power of each state, as if it lasted; out of contact as at the force floor."""
-    touch, resonance = touch_of(condition)
+    touch, resonance = contact_columns(condition)
     compiled = kernel()
     if compiled is None:
         return _linear_contact(condition, carriers, touch, resonance)
     tokens = np.ascontiguousarray(condition.tokens, dtype=np.float64)
     columns = np.stack([touch[name] for name in TOUCH], axis=1)
-    found = kernel_contact.linear_contact(compiled, kernel_tables(carriers, *hand_of(condition.probe)), tokens, columns)
+    tables = kernel_tables(carriers, *lateral_hand_impedance(condition.probe))
+    found = kernel_contact.linear_contact(compiled, tables, tokens, columns)
     return LinearContact(found.power, found.normal, resonance, found.noise, Lines(found.lines, found.low))
 
 
-def touch_of(condition: Condition) -> tuple[dict[str, Float], Float]:
-    """What each state (n,) says of the contact, by the names in TOUCH, and its resonance [Hz]."""
+def contact_columns(condition: Condition) -> tuple[dict[str, Float], Float]:
+    """Contact parameters (n,) of each state in SI units, by the names in TOUCH, and its resonance [Hz]."""
     probe, force = PROBES[condition.probe], np.maximum(condition.force, FORCE_FLOOR_N)
     radius, stiffness, damping, friction, resonance = np.zeros((5, len(force)))
     for index, mechanics in enumerate(condition.mechanics):
@@ -131,8 +132,8 @@ def touch_of(condition: Condition) -> tuple[dict[str, Float], Float]:
     }, resonance
 
 
-def hand_of(probe: str) -> tuple[float, float]:
-    """Stiffness over mass of the hand that holds the probe sideways, and 4 ζ² times it."""
+def lateral_hand_impedance(probe: str) -> tuple[float, float]:
+    """(k / m, 4 ζ² k / m) of the hand that holds the probe sideways, rad²/s²."""
     hand = HAND_STIFFNESS_N_M / PROBES[probe].mass_kg
     return hand, 4.0 * HAND_DAMPING_RATIO**2 * hand
 
@@ -145,7 +146,7 @@ def _linear_contact(
     texture = texture_of(condition.tokens, condition.direction, carriers)
     speed, radius, stiffness, damping, mass, load_square, rubbed, flank = (touch[name][:, None] for name in TOUCH[1:])
     square = np.square(2.0 * np.pi * kappa * speed)
-    hand, hand_damping = hand_of(condition.probe)
+    hand, hand_damping = lateral_hand_impedance(condition.probe)
     lateral = np.square(square) / (np.square(hand - square) + hand_damping * square)
     fade = np.square(arc_gain(kappa, touch["speed"]))
     up, aside = power_gain(square, stiffness, damping, mass) * fade, lateral * load_square * fade

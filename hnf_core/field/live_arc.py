@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..kernel.hop import ArcReader, Piece
 from ..kernel.library import kernel
 from .carriers import MODEL_RATE_HZ, Carriers
-from .hops import ARC_CELLS, ARC_HOP, CELL, MIDDLE
+from .hops import ARC_CELLS, ARC_HOP, CELL, DEMODULATION_CYCLES
 from .linear_contact import BAND_END_HZ
 from .live_octave import LiveOctave
 from .texture import cell_weights, hop_tables
@@ -30,7 +30,7 @@ SOON = 2.0
 """Steps: what is needed by then is made whatever else was."""
 AUDIBLE_SOON = 1.5
 """Octaves up to this factor above the band are made too: the hand may slow down."""
-TURNS_A_CELL = MIDDLE / ARC_CELLS
+TURNS_A_CELL = DEMODULATION_CYCLES / ARC_CELLS
 _SHARE = SHARES.astype(np.float32)
 _CELLS = np.arange(4)[:, None, None]
 

@@ -39,8 +39,8 @@ Blend = tuple[tuple[Load, float], ...]
 _FLOOR, _FINE = 1e-3, 8
 HEAVIEST_OCTAVE = 4
 """Up to 16 N responses are made ready; a heavier hand's when it comes."""
-STATES = -(-(TAIL + len(STATE_CURVE) - 1) // SAMPLES_PER_STATE)
-"""That a sample is made from."""
+HISTORY_STATES = -(-(TAIL + len(STATE_CURVE) - 1) // SAMPLES_PER_STATE)
+"""Past force states that contribute to one sample."""
 
 
 class LivePressing:
@@ -48,7 +48,7 @@ class LivePressing:
     one that the spline of the force (timeline.smooth) needs beyond it.
 
     Spline and response are both linear, so that what every past state still gives is known beforehand: a step is a
-    product of STATES forces and a table.
+    product of HISTORY_STATES forces and a table.
     """
 
     def __init__(self, mechanics: Sequence[Mechanics], probe: str) -> None:
@@ -58,7 +58,7 @@ class LivePressing:
         for material in range(len(self._mechanics)):
             for level in levels:
                 self._given((material, level))
-        self._states = np.zeros(STATES)
+        self._states = np.zeros(HISTORY_STATES)
         self.forget()
 
     def forget(self) -> None:
@@ -67,7 +67,7 @@ class LivePressing:
         self._blends: tuple[Blend, Blend] = (), ()
 
     def step(self, force: float, material: int) -> Float:
-        """(SAMPLES_PER_STATE,) m/s². force: N, 0 in the air. Exactly 0 where force has not changed for STATES."""
+        """(SAMPLES_PER_STATE,) m/s². force: N, 0 in the air. Exactly 0 where it has not changed for HISTORY_STATES."""
         states = self._states
         states[1:] = states[:-1].copy()
         states[0] = force
@@ -100,12 +100,12 @@ class LivePressing:
 
 @lru_cache(maxsize=KEPT_RESPONSES)
 def _given_later(mechanics: Mechanics, probe: Probe, level: int) -> Float:
-    """(STATES, SAMPLES_PER_STATE): what 1 N in a state gives in the steps from its own on."""
+    """(HISTORY_STATES, SAMPLES_PER_STATE): what 1 N in a state gives in the steps from its own on."""
     kernel = causal_response(mechanics, probe, 2.0 ** (level / LOADS_PER_OCTAVE))
     whole = np.fft.irfft(np.fft.rfft(kernel, RESPONSE_GRID) * np.fft.rfft(STATE_CURVE, RESPONSE_GRID), RESPONSE_GRID)[
-        : STATES * SAMPLES_PER_STATE
+        : HISTORY_STATES * SAMPLES_PER_STATE
     ]
-    table = whole.reshape(STATES, SAMPLES_PER_STATE)
+    table = whole.reshape(HISTORY_STATES, SAMPLES_PER_STATE)
     table.setflags(write=False)
     return np.asarray(table)
 

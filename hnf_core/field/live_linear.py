@@ -13,7 +13,7 @@ from ..material.contact import power_gain, surface_stiffness_at_1n, with_default
 from ..material.mechanics import Mechanics
 from ..material.probe import Probe
 from .carriers import ARC_PER_OCTAVE, Carriers
-from .linear_contact import FLANK_FRICTION, arc_gain, hand_of, time_edges
+from .linear_contact import FLANK_FRICTION, arc_gain, lateral_hand_impedance, time_edges
 from .live_texture import LiveTexture
 
 Float = NDArray[np.float64]
@@ -77,7 +77,7 @@ class LiveLinear:
         np.exp(reach * (-1.0 / 20.0), out=leaned)
         np.multiply(leaned, wave, out=bent)
         squared, fade = wave * speed**2, np.square(gain)
-        hand, hand_damping = hand_of(self._probe.name)
+        hand, hand_damping = lateral_hand_impedance(self._probe.name)
         lateral = np.square(squared) / (np.square(hand - squared) + hand_damping * squared)
         up, aside = power_gain(squared, stiffness, damping, mass) * fade, lateral * leaning * fade
         cut = self._texture.cut(angle, weight)

@@ -50,10 +50,11 @@ from .timeline import (
 Float = NDArray[np.float64]
 Evaluate = Callable[[Field, Condition], Emission]
 
-MANY = 4 * BLOCK
-"""Samples whose pressing is worth a thread of its own."""
+THREAD_FROM_SAMPLES = 4 * BLOCK
+"""From this many samples on, the contact term runs in a second thread."""
 STATES_AT_ONCE = 128
-"""States evaluated at once, likewise."""
+"""Action states per F_Θ batch. Float32 results depend on the size of a batch, so this is part of the byte-exact
+contract."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ class Prepared:
     the model rate; None for one at each of the n states. profile_amplitude: (n, Ka) factor on the profile's bands.
     force: (n,) N as pressed. audible: (count,) 0 … 1, zero far from contact.
     loudest: the field's largest amplitude in each portion of states, m/s². unheld: profile_amplitude as it is
-    evaluated, before it is held where the hand rests. missed: share of the power that knots leave out, see Sampled.
+    evaluated, before hold_at_rest(). missed: share of the power that knots leave out, see Sampled.
     origin: the sample of the carriers' clock at which this begins, where it is a piece of a longer stroke.
     """
 
@@ -102,7 +103,7 @@ def synthesise(
     not positive. What lies outside the field's training ranges is synthesised as it is, and named in warnings.
     """
     prepared, samples = synthesised(field, stroke, seed, tolerance)
-    told = described(field, stroke, prepared, samples, sample_rate)
+    told = to_synthesis(field, stroke, prepared, samples, sample_rate)
     return replace(told, warnings=(*told.warnings, *fallen_short(prepared.missed, tolerance)))
 
 
@@ -125,7 +126,7 @@ def synthesised(
     return prepared, rendered(prepared)
 
 
-def described(
+def to_synthesis(
     field: Field, stroke: StrokeInput, prepared: Prepared, samples: Float, sample_rate: float = MODEL_RATE_HZ
 ) -> Synthesis:
     """Rendered samples (count,) as a signal, with what there is to say of it."""
@@ -187,7 +188,7 @@ def prepare(
     profile_amplitude = None
     if unheld is not None:
         sliding = condition.contact & (condition.force > FORCE_FLOOR_N) & (condition.speed > SPEED_FLOOR_M_S)
-        profile_amplitude = held(unheld, sliding) * upper_fade(reading)
+        profile_amplitude = hold_at_rest(unheld, sliding) * upper_fade(reading)
     pressed = np.where(action.contact, action.force, 0.0)
     if earlier is not None and np.array_equal(action.contact, earlier.action.contact):
         audible = earlier.audible
@@ -318,7 +319,7 @@ def render_block(prepared: Prepared, start: int, count: int) -> Float:
     audible = prepared.audible[start : start + count]
     if not is_heard(audible):
         return np.zeros(count)
-    if count < MANY or kernel() is None or cores() < 2:
+    if count < THREAD_FROM_SAMPLES or kernel() is None or cores() < 2:
         out = texture_term(prepared, start, count)
         out += contact_term(prepared, start, count)
     else:
@@ -368,7 +369,7 @@ def _profile_term(prepared: Prepared, start: int, count: int) -> Float | float:
     return prepared.bank.height_term(height, start)
 
 
-def held(amplitude: Float, sliding: NDArray[np.bool_]) -> Float:
+def hold_at_rest(amplitude: Float, sliding: NDArray[np.bool_]) -> Float:
     """(n, K) amplitudes with the states that do not slide filled in from their sliding neighbours, linearly.
 
     At rest, and before the touch, the height under the hand stands still and must give nothing. Fading it in or out

@@ -23,11 +23,11 @@ from .hops import (
     ARC_CELLS,
     ARC_HOP,
     CELL,
-    HIGHEST,
+    DEMODULATION_CYCLES,
     HOP,
     LEVELS,
     MARGINS,
-    MIDDLE,
+    MAX_RELATIVE_FREQUENCY,
     arc_hop,
     level_of,
     time_hop,
@@ -40,7 +40,7 @@ Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 _TAPS = 6
-"""On either side of the filter that reads halfway between two samples: −90 dB up to HIGHEST."""
+"""On either side of the filter that reads halfway between two samples: −90 dB up to MAX_RELATIVE_FREQUENCY."""
 REACH = max(margin << level for level, margin in enumerate(MARGINS))
 _READ_CELLS = 4
 _ROWS = 48
@@ -84,8 +84,8 @@ def _hop(knots: Knots, carriers: Carriers, seed: int, place: Float, hop: int) ->
     first = hop * HOP
     begin = first - REACH
     near = knots.around(begin, begin + len(place))
-    when = _When(begin, *near.between(begin + np.arange(len(place))))
-    rates = _Rates(first)
+    when = _Interpolation(begin, *near.between(begin + np.arange(len(place))))
+    rates = _MultirateSum(first)
     if carriers.time_count and np.any(near.amplitude[:, carriers.time_slice]):
         for level, (bands, waves) in enumerate(zip(time_levels(carriers), time_hop(carriers, seed, hop), strict=True)):
             start = first - (MARGINS[level] << level)
@@ -97,11 +97,13 @@ def _hop(knots: Knots, carriers: Carriers, seed: int, place: Float, hop: int) ->
     return rates.together()
 
 
-def _readings(near: Knots, carriers: Carriers, place: Float, rates: _Rates) -> dict[tuple[int, int, int], list[int]]:
+def _readings(
+    near: Knots, carriers: Carriers, place: Float, rates: _MultirateSum
+) -> dict[tuple[int, int, int], list[int]]:
     """Octaves that are read at the same samples: (level, first sample, how many) → octaves."""
     begin, found = rates.first - REACH, defaultdict[tuple[int, int, int], list[int]](list)
     speed = np.abs(np.diff(place)) * MODEL_RATE_HZ
-    for octave, loud in enumerate(near.of(carriers.arc_slice).loud_each(ARC_PER_OCTAVE)):
+    for octave, loud in enumerate(near.select_carriers(carriers.arc_slice).nonzero_by_group(ARC_PER_OCTAVE)):
         lowest = carriers.arc_start_per_m * 2.0**octave
         for stretch in near.ranges(loud, begin, begin + len(place)):
             for low, high in _audible(speed, begin, stretch, lowest):
@@ -119,7 +121,7 @@ def _bands(carriers: Carriers, octave: int) -> slice:
 
 
 @dataclass(frozen=True)
-class _When:
+class _Interpolation:
     """Where samples lie between knots. begin: the first of them. row: (n,) the knot before. share: (n,) of the way to
     the next."""
 
@@ -127,14 +129,14 @@ class _When:
     row: NDArray[np.intp]
     share: Float32
 
-    def at(self, start: int, step: int, count: int) -> _When:
+    def at(self, start: int, step: int, count: int) -> _Interpolation:
         """Every step-th sample from start on."""
         part = slice(start - self.begin, start - self.begin + step * count, step)
-        return _When(start, self.row[part], self.share[part])
+        return _Interpolation(start, self.row[part], self.share[part])
 
 
-class _Rates:
-    """Sums at each rate, brought together at the end."""
+class _MultirateSum:
+    """Partial sums at 1, ½ and ¼ of the model rate, upsampled and added at the end."""
 
     def __init__(self, first: int) -> None:
         self.first = first
@@ -176,7 +178,7 @@ def _twice(values: Float32, level: int) -> Float32:
     return out
 
 
-def _faded(amplitude: Float32, waves: Float32, when: _When) -> Float32:
+def _faded(amplitude: Float32, waves: Float32, when: _Interpolation) -> Float32:
     """Σ_k A_k c_k of waves (K, n); (n,)."""
     out = np.empty(waves.shape[1], dtype=np.float32)
     for rows, part in _parts(when.row):
@@ -187,7 +189,9 @@ def _faded(amplitude: Float32, waves: Float32, when: _When) -> Float32:
     return out
 
 
-def _in_arc(near: Knots, carriers: Carriers, seed: int, octaves: list[int], place: Float, when: _When) -> Float32:
+def _in_arc(
+    near: Knots, carriers: Carriers, seed: int, octaves: list[int], place: Float, when: _Interpolation
+) -> Float32:
     """Σ_k A_k c_k of the octaves at samples at place (n,) [m]; (n,)."""
     at = place / (CELL * np.array([[carriers.arc_step_m(octave)] for octave in octaves]))
     cell = np.floor(at).astype(np.int64)
@@ -210,7 +214,7 @@ def _in_arc(near: Knots, carriers: Carriers, seed: int, octaves: list[int], plac
         index += nexts
         after = sum(weight[:, part] * flat.take(index + tap) for tap, weight in enumerate(weights))
         out[:, part] = here + when.share[part] * (after - here)
-    turn = at * (MIDDLE / ARC_CELLS)
+    turn = at * (DEMODULATION_CYCLES / ARC_CELLS)
     angle = (2.0 * np.pi * (turn - np.floor(turn))).astype(np.float32)
     return np.asarray((out.real * np.cos(angle) - out.imag * np.sin(angle)).sum(axis=0))
 
@@ -224,7 +228,8 @@ def hop_tables(carriers: Carriers) -> HopTables:
         cells_per_m=np.array([1.0 / (CELL * carriers.arc_step_m(each)) for each in range(carriers.arc_octaves)]),
         half_band=_half_band(), cubic=np.array(_cubic()), hop=HOP, reach=REACH, time_first=carriers.time_slice.start,
         arc_first=carriers.arc_slice.start, bands=ARC_PER_OCTAVE, piece_cells=ARC_HOP, rate=MODEL_RATE_HZ,
-        highest=HIGHEST, band_end=BAND_END_HZ, lowest=carriers.arc_start_per_m, turns=MIDDLE / ARC_CELLS,
+        highest=MAX_RELATIVE_FREQUENCY, band_end=BAND_END_HZ, lowest=carriers.arc_start_per_m,
+        turns=DEMODULATION_CYCLES / ARC_CELLS,
     )  # fmt: skip
 
 
@@ -262,8 +267,9 @@ def _audible(speed: Float, begin: int, stretch: tuple[int, int], lowest: float) 
 
 @lru_cache(maxsize=1)
 def _half_band() -> Float32:
-    """(2 · _TAPS,) of the filter that reads halfway between two samples, by least squares up to HIGHEST."""
-    frequency = np.linspace(0.0, HIGHEST, 200)
+    """(2 · _TAPS,) of the filter that reads halfway between two samples, by least squares up to
+    MAX_RELATIVE_FREQUENCY."""
+    frequency = np.linspace(0.0, MAX_RELATIVE_FREQUENCY, 200)
     waves = 2.0 * np.cos(2.0 * np.pi * frequency[:, None] * (np.arange(_TAPS) + 0.5))
     half = np.linalg.lstsq(waves, np.ones(len(frequency)), rcond=None)[0]
     return np.asarray(np.concatenate([half[::-1], half]).astype(np.float32))

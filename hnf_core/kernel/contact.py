@@ -17,7 +17,8 @@ Float32 = NDArray[np.float32]
 Integers = NDArray[np.int64]
 
 TOUCH = ("angle", "speed", "radius", "stiffness", "damping", "mass", "load_square", "rubbed", "flank")
-"""Columns of what is known of each state, as in hnf_kernel.h."""
+"""Columns of what is known of each state, as in hnf_kernel.h. load_square: (F / m)² [m²/s⁴]; rubbed: 1 + μ²; flank:
+(1 + FLANK_FRICTION · (1 − a / R)²)² − 1, a the contact's radius and R the tip's."""
 FEATURES = ("level", "peak", "offset", "cos2", "sin2", "cos4", "sin4")
 """Of a token's bands, that are asked for."""
 

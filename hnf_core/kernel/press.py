@@ -15,8 +15,8 @@ Float = NDArray[np.float64]
 MOST_SAMPLES = 64
 
 
-class Given:
-    """What 1 N in the states about a state's samples adds to them, of each of B contacts.
+class StateResponses:
+    """Response of a state's samples to 1 N at each neighbouring state, of each of B contacts.
 
     tables: (rows, samples) each, the earliest state first; the last `ahead` rows are of states after the own one.
     Raises ValueError where these do not fit together.

@@ -2,8 +2,8 @@
 
 The power of a texture falls by a law of its own, of most like f^−2 (Field 1987), down to the white noise of its grains.
 A picture that was blurred, or enlarged from coarser samples, leaves its law for a cliff; what is left beyond is noise,
-and the kinks that linear interpolation makes. Both stories are told of the same spectrum, and the cliff is believed
-where it tells much better.
+and the kinks that linear interpolation makes. A power law and a power law with a blur's cutoff are fitted to the same
+spectrum, and the cutoff is believed where it fits much better.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from ..errors import UsageError
 Float = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-KEPT = 0.1
-"""Of the amplitude of the finest wave held: the limit of resolution in optics (MTF10). A soft pattern of its own is not
-to be taken for a blurred one, so the doubt is the picture's. Linear interpolation leaves a tenth of 1.4 samples."""
+CUTOFF_MTF = 0.1
+"""Share of its amplitude that is left of the finest wave held: the limit of resolution in optics (MTF10). A soft
+pattern of its own is not to be taken for a blurred one, so the doubt is the picture's. Linear interpolation leaves a
+tenth of 1.4 samples."""
 LAWS = np.arange(0.0, 3.01, 0.5)
 """Exponents β of the power f^−β, the mean over all directions, that a picture's own law may have. Edges have 3."""
 KINKS = 5.0
@@ -46,7 +47,7 @@ RAMP = 8
 
 
 def held_wave(linear: ArrayLike, mask: ArrayLike, metres_per_pixel: float, finest_m: float = 0.0) -> float:
-    """Metres of the shortest wave that a picture holds: the one of which a Gaussian blur like its own leaves KEPT.
+    """Metres of the shortest wave that a picture holds: a Gaussian blur like its own leaves CUTOFF_MTF of it.
 
     linear: (H, W, 3) linear colour. mask: (H, W) bool, where it counts. finest_m: what the picture could hold at best;
     nothing shorter is looked at, nor than two pixels, and it is what is said where the picture shows no cliff, or too
@@ -119,14 +120,14 @@ def _bands(colour: Float, window: Float, seen: Mask, finest: float) -> tuple[Flo
 
 
 def _cliff(frequency: Float, power: Float, among: Float, finest: float) -> float:
-    """Pixels of the wave that is left with KEPT where the law ends in a cliff, finest where it does not."""
+    """Pixels of the wave that is left with CUTOFF_MTF where the law ends in a cliff, finest where it does not."""
     octaves = np.log2(frequency[-1] / frequency[0])
     waves = finest * 2.0 ** np.arange(0.0, octaves - 0.5, 1.0 / WAVES_AN_OCTAVE)
     log_power = np.log(np.maximum(power, power.max() * 10.0 ** (-RANGE_DB / 10.0)))
     weights = np.sqrt(np.minimum(among, MOST_COUNTED))
     at = frequency / frequency[0]
     law = -LAWS[:, None] * np.log(at)
-    cut = 2.0 * np.log(KEPT) * (waves[:, None] * frequency) ** 2
+    cut = 2.0 * np.log(CUTOFF_MTF) * (waves[:, None] * frequency) ** 2
     levels = FLOORS_DB[:, None] * np.log(10.0) / 10.0
     noise, kinks = levels + np.zeros_like(at), levels - KINKS * np.log(at)
     going_on = _misfit(log_power, weights, law[:, None], noise)

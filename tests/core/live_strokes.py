@@ -49,7 +49,7 @@ def offline(stroke: StrokeInput) -> np.ndarray:
     carriers, count, amplitude = prepared.carriers, prepared.count, prepared.amplitude[:, 0]
     out = time_term(amplitude[:, carriers.time_slice], carriers, SEED, 0, count)
     near = Knots(BLOCK * np.arange(len(amplitude)), amplitude).around(0, count)
-    when = texture._When(0, *near.between(np.arange(count)))
+    when = texture._Interpolation(0, *near.between(np.arange(count)))
     with plainly():
         place, octaves = position(prepared.action, 0, count), list(range(carriers.arc_octaves))
         out += texture._in_arc(near, carriers, SEED, octaves, place, when)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hnf_core.errors import UsageError
-from hnf_core.tactile.held_wave import KEPT, held_wave, soft_window
+from hnf_core.tactile.held_wave import CUTOFF_MTF, held_wave, soft_window
 
 SIDE = 160
 ALL = np.ones((SIDE, SIDE), dtype=bool)
@@ -58,8 +58,8 @@ def radius() -> np.ndarray:
 
 
 def blurred(values: np.ndarray, wave: float) -> np.ndarray:
-    """As by a Gaussian that leaves KEPT of a wave of so many pixels."""
-    return np.fft.ifft2(np.fft.fft2(values) * KEPT ** ((wave * radius()) ** 2)).real
+    """As by a Gaussian that leaves CUTOFF_MTF of a wave of so many pixels."""
+    return np.fft.ifft2(np.fft.fft2(values) * CUTOFF_MTF ** ((wave * radius()) ** 2)).real
 
 
 def cut_off(values: np.ndarray, wave: float) -> np.ndarray:
@@ -102,7 +102,9 @@ def test_an_enlarged_picture_holds_little_beyond_its_samples(make) -> None:
 
 
 def test_stripes_count_by_the_finer_of_their_directions() -> None:
-    along = np.fft.ifft2(np.fft.fft2(law(2.0, 0)) * KEPT ** ((20.0 * np.fft.fftfreq(len(ROW))[:, None]) ** 2)).real
+    along = np.fft.ifft2(
+        np.fft.fft2(law(2.0, 0)) * CUTOFF_MTF ** ((20.0 * np.fft.fftfreq(len(ROW))[:, None]) ** 2)
+    ).real
     assert held_wave(grey(along), ALL, 1.0) <= 2.6
     assert held_wave(grey(blurred(stripes(0), 12.0)), ALL, 1.0) == pytest.approx(12.0, rel=0.5)
 

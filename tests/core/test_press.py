@@ -11,7 +11,7 @@ from hnf_core.field.carriers import MODEL_RATE_HZ
 from hnf_core.field.contact_filter import LEAD, TAIL, filter_bank, impulse_response
 from hnf_core.field.timeline import SAMPLES_PER_STATE, smooth
 from hnf_core.kernel.library import kernel, plainly, why_not
-from hnf_core.kernel.press import Given
+from hnf_core.kernel.press import StateResponses
 from hnf_core.material.contact import force_response
 from hnf_core.material.library import find, load_library
 from hnf_core.material.probe import PROBES
@@ -87,11 +87,11 @@ def test_what_it_would_misread_never_reaches_the_kernel():
     table, weight = np.ones((10, 50)), np.ones((5, 1))
     for tables, ahead in (([table, np.ones((10, 49))], 8), ([np.ones((10, 65))], 8), ([table], 10), ([], 8)):
         with pytest.raises(ValueError, match="given to states"):
-            Given(tables, ahead)
+            StateResponses(tables, ahead)
     for force, weights, error in (
         (np.ones(4), weight, ValueError), (np.ones(5), np.ones((5, 2)), ValueError),
         (np.ones(0), np.ones((0, 1)), ValueError), (np.ones(5, np.float32), weight, TypeError),
         (np.ones(10)[::2], weight, TypeError),
     ):  # fmt: skip
         with pytest.raises(error):
-            Given([table], 8).pressed(Refuses(), force, weights, 0, 5)
+            StateResponses([table], 8).pressed(Refuses(), force, weights, 0, 5)

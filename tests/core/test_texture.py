@@ -13,7 +13,7 @@ from normal_noise import normal_block
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.field.band_waves import complex_waves, real_waves, wave_plan
 from hnf_core.field.carriers import ARC_BLOCK, Carriers
-from hnf_core.field.hops import ARC_HOP, CELL, HOP, MARGINS, MIDDLE, arc_hop, time_hop, time_levels
+from hnf_core.field.hops import ARC_HOP, CELL, DEMODULATION_CYCLES, HOP, MARGINS, arc_hop, time_hop, time_levels
 from hnf_core.field.knots import Knots
 from hnf_core.field.noise import band_bins, band_spectra, bins_of
 from hnf_core.field.path import position_beyond
@@ -123,7 +123,7 @@ def test_hops_of_time_are_the_carriers(hop):
 def test_hops_of_arc_length_are_the_carriers(octave, hop):
     at = (hop * ARC_HOP + np.arange(ARC_HOP)) * CELL
     waves = CARRIERS.arc_samples(3, octave, int(at[0]), ARC_HOP * CELL)[:, ::CELL]
-    turned = arc_hop(CARRIERS, 3, octave, hop).waves * np.exp(2j * np.pi * at * MIDDLE / ARC_BLOCK)
+    turned = arc_hop(CARRIERS, 3, octave, hop).waves * np.exp(2j * np.pi * at * DEMODULATION_CYCLES / ARC_BLOCK)
     np.testing.assert_allclose(turned.real, waves, atol=1e-6)
 
 

@@ -88,7 +88,7 @@ static inline void tones(double peak, double along, double *tone, double *other)
 }
 
 /* What a token is, from wherever the stroke comes. */
-static void know(const hnf_tables *t, const double *token, double *room, const known_token *out)
+static void decode_token(const hnf_tables *t, const double *token, double *room, const known_token *out)
 {
     int64_t count = t->token_bands;
     double *cosine = taken(&room, count), *sine = taken(&room, count), *along = taken(&room, count);
@@ -120,8 +120,9 @@ static void know(const hnf_tables *t, const double *token, double *room, const k
 
 /* Angular density of a token's waves at an angle and at its mirror image, for `count` numbers. What is strictly oriented
  * is along e^(c (f - 1)) + across e^(c (-f - 1)), f = cos 2a cosine +- sin 2a sine. */
-static void dense(const hnf_tables *t, const double *turn, const double *const moments[4], const double *cosine,
-                  const double *sine, const double *along, const double *oriented, int64_t count, double *out)
+static void angular_density(const hnf_tables *t, const double *turn, const double *const moments[4],
+                            const double *cosine, const double *sine, const double *along, const double *oriented,
+                            int64_t count, double *out)
 {
     const double *two_re = moments[0], *two_im = moments[1], *four_re = moments[2], *four_im = moments[3];
     double level = exp_of(-t->concentration) / t->bump_mean, share = 1.0 / (double)(2 * t->angles);
@@ -139,8 +140,8 @@ static void dense(const hnf_tables *t, const double *turn, const double *const m
 }
 
 /* A token that is known, from a stroke at an angle. row: numbers of a row of its density. */
-static void see(const hnf_tables *t, const known_token *token, double angle, int64_t row, double *room,
-                const seen_token *out)
+static void rotate_token(const hnf_tables *t, const known_token *token, double angle, int64_t row, double *room,
+                         const seen_token *out)
 {
     int64_t count = t->token_bands, wide = widened(count);
     double cos_two = cos(2.0 * angle), sin_two = sin(2.0 * angle);
@@ -169,14 +170,14 @@ static void see(const hnf_tables *t, const known_token *token, double angle, int
     const double *const moments[4] = {two_re, two_im, four_re, four_im};
     for (int64_t a = 0; a < t->angles; a++) {
         double *density = out->density + a * row;
-        dense(t, t->turn + 4 * a, moments, cosine, sine, along, oriented, wide, here);
+        angular_density(t, t->turn + 4 * a, moments, cosine, sine, along, oriented, wide, here);
         for (int64_t band = 0, k = 0; band < count; band++)
             for (double value = here[band]; k < t->nearest_end[band]; k++)
                 density[k] = value;
     }
 }
 
-static void lean_on(const hnf_tables *t, double radius, double *passed, double *leaned)
+static void tip_gains(const hnf_tables *t, double radius, double *passed, double *leaned)
 {
     for (int64_t k = 0; k < t->bands; k++) {
         /* The spots' radius is half the contact's, so that exp(-q^2 / 5) is their fourth power. */
@@ -208,17 +209,17 @@ static void cut_through(const hnf_tables *t, const double *density, const double
     }
 }
 
-static void met_by(const hnf_tables *t, contact_work *work, const double *token, const hnf_touch *hand)
+static void update_cache(const hnf_tables *t, contact_work *work, const double *token, const hnf_touch *hand)
 {
     int other = !work->token || memcmp(token, work->token, (size_t)(t->features * t->token_bands) * sizeof(double));
     int first = !work->token;
     work->token = token;
     if (other)
-        know(t, token, work->room, &work->known);
+        decode_token(t, token, work->room, &work->known);
     if (other || hand->angle != work->angle)
-        see(t, &work->known, hand->angle, work->row, work->room, &work->seen);
+        rotate_token(t, &work->known, hand->angle, work->row, work->room, &work->seen);
     if (first || hand->radius != work->radius)
-        lean_on(t, hand->radius, work->passed, work->leaned);
+        tip_gains(t, hand->radius, work->passed, work->leaned);
     work->angle = hand->angle;
     work->radius = hand->radius;
 }
@@ -227,7 +228,7 @@ void contact_of(const hnf_tables *t, contact_work *work, const double *token, co
                 const hnf_contact *out)
 {
     int64_t bands = t->bands, row = work->row;
-    met_by(t, work, token, hand);
+    update_cache(t, work, token, hand);
     double *of = work->of, *cut = work->room, *up = of, *aside = of + row, *met = of + 2 * row, normal = 0.0;
     for (int64_t k = 0; k < bands; k++) {
         double wave = TWO_PI * t->kappa[k], height = work->known.height[k], leaned = height * work->leaned[k];

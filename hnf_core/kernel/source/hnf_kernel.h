@@ -40,7 +40,7 @@ typedef struct {
     int64_t octaves, bands, piece_cells;     /* of arc length: bands in each, cells of a piece */
     int64_t taps;                            /* on either side of a reading halfway between two samples */
     double rate, highest, band_end;          /* Hz; the highest frequency over its rate; Hz where nothing sounds */
-    double lowest, turns;                    /* cycles/m with which octaves begin; turns that a cell has lost */
+    double lowest, turns;                    /* cycles/m with which octaves begin; demodulation, cycles per cell */
     const int64_t *margin;                   /* (levels,) samples before and after a hop */
     const int64_t *time_band, *time_bands;   /* (levels,) first carrier in time kept there, and how many */
     const double *cells_per_m;               /* (octaves,) */
@@ -73,6 +73,9 @@ HNF_EXPORT void hnf_hops(const hnf_carriers *carriers, const hnf_knots *knots, i
                          const hnf_reading *readings, const int64_t *counts, double *scratch, double *out);
 
 /* contact.c */
+
+/* load_square: (F / m)^2 [m^2/s^4]. rubbed: 1 + mu^2. flank: (1 + FLANK_FRICTION (1 - a / R)^2)^2 - 1, a the contact's
+ * radius and R the tip's. The rest in SI units; damping: (2 zeta)^2 k m. */
 typedef struct {
     double angle, speed, radius, stiffness, damping, mass, load_square, rubbed, flank;
 } hnf_touch;
