@@ -25,6 +25,7 @@ from ..preview.images import show
 from ..state.probe import NearView, ProbeView, Relief
 from ..state.session import STATE
 from ..touch.bake import token_of
+from ..touch.mapped import mapped
 from ..touch.probe import Probed, map_source, probe_steps
 from ..touch.report import Counts
 from .messages import Began, Step
@@ -44,14 +45,10 @@ def probe_work(session: Session, place: ProbePlace, cache: Path, folder: Path) -
     """
     yield Began(1, 0)
     counts = Counts()
-    steps = probe_steps(session, place, cache, counts)
     yield Step("close-up", 0, 1)
-    while True:
-        try:
-            yield Step("close-up", 0, 1, next(steps))
-        except StopIteration as finished:
-            write_bytes(folder / ANSWER_NAME, pack_probe(finished.value, session.scene.name))
-            return counts.close_ups
+    probed = yield from mapped(probe_steps(session, place, cache, counts), lambda share: Step("close-up", 0, 1, share))
+    write_bytes(folder / ANSWER_NAME, pack_probe(probed, session.scene.name))
+    return counts.close_ups
 
 
 def pack_probe(probed: Probed, scene_name: str) -> bytes:

@@ -19,6 +19,7 @@ from ..preview.stroke_bake import stroke_bake_of
 from ..state.session import Freshness
 from ..touch.feel import BakedStroke, feel
 from ..touch.jobs import Job, Session, gather_curves
+from ..touch.mapped import mapped
 from ..touch.report import Report
 from ..touch.steps import bake_steps
 from ..touch.stored import judge, tokens_are_there
@@ -57,7 +58,7 @@ def work_steps(order: Order, folder: Path) -> Steps:
         write_bytes(folder / file, bake.to_bytes())
         files.append(BakedFile(job.curve_name, file, job.inputs))
 
-    baked = yield from _said(bake_steps(session, jobs, Path(order.cache), report, each))
+    baked = yield from mapped(bake_steps(session, jobs, Path(order.cache), report, each), _said)
     return Result(
         strokes=tuple(files),
         meshes=tuple(_write_tokens(session, baked, folder)),
@@ -104,13 +105,8 @@ def _scene(order: Order) -> tuple[Any, Any]:
     return scene, scene.view_layers.get(order.view_layer) or scene.view_layers[0]
 
 
-def _said(steps: Generator[Progress, None, Any]) -> Generator[Step, None, Any]:
-    while True:
-        try:
-            progress = next(steps)
-        except StopIteration as finished:
-            return finished.value
-        yield Step(progress.stage, progress.done, progress.total, progress.share)
+def _said(progress: Progress) -> Step:
+    return Step(progress.stage, progress.done, progress.total, progress.share)
 
 
 def _write_tokens(session: Session, baked: Iterable[BakedStroke], folder: Path) -> Iterator[TokenFile]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Generator
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from ..bridge.strokes import stroke_objects
 from .choose import shader_name
 from .earlier import earlier_run
 from .jobs import Gathered, Session
+from .mapped import mapped
 from .plan import Plan, PlannedProbe
 from .probe import Probed, is_baked, locate, probe_steps
 from .probe_report import write_probe
@@ -89,10 +89,6 @@ def run_probes(session: Session, report: Report) -> Generator[Progress, None, No
 
 def _shares(session: Session, place: ProbePlace, report: Report, done: int) -> Generator[Progress, None, Probed]:
     """Shares of one probe → Progress of them all."""
-    with closing(probe_steps(session, place, session.request.folder / CACHE_NAME, report.counts)) as steps:
-        while True:
-            try:
-                share = next(steps)
-            except StopIteration as finished:
-                return finished.value  # type: ignore[no-any-return]  # what the generator declares
-            yield Progress(f"probe {place.name}", done, len(session.request.probes), share)
+    steps = probe_steps(session, place, session.request.folder / CACHE_NAME, report.counts)
+    total = len(session.request.probes)
+    return (yield from mapped(steps, lambda share: Progress(f"probe {place.name}", done, total, share)))

@@ -24,6 +24,7 @@ from .deliver import deliver, draw_again, save_baked
 from .earlier import Earlier, earlier_run, left_over
 from .feel import BakedStroke, feel
 from .jobs import Gathered, Job, Session, gather
+from .mapped import mapped
 from .outside import outside_files, source_hash
 from .plan import TYPICAL_PATH_M, Fresh, Needed, Plan, patches_at_most
 from .probe_run import keep_strokes, run_probes, with_probes, without_strokes
@@ -146,16 +147,15 @@ def _written(
 ) -> Generator[Progress, None, tuple[BakedStroke, ...]]:
     """The same steps; the report is on disk after every stroke."""
     done = 0
-    with contextlib.closing(steps):
-        while True:
-            try:
-                progress = next(steps)
-            except StopIteration as finished:
-                return finished.value  # type: ignore[no-any-return]  # what the generator declares
-            if progress.done != done:
-                done = progress.done
-                report.write(folder)
-            yield progress
+
+    def kept(progress: Progress) -> Progress:
+        nonlocal done
+        if progress.done != done:
+            done = progress.done
+            report.write(folder)
+        return progress
+
+    return (yield from mapped(steps, kept))
 
 
 def make_plan(session: Session, found: Gathered, earlier: Earlier, source: str) -> Plan:

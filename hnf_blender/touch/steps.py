@@ -7,6 +7,7 @@ import contextlib
 import time
 import traceback
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 from hnf_core.blas import one_blas_thread
@@ -16,6 +17,7 @@ from hnf_core.errors import HnfError
 from ..bridge.scene_names import object_in
 from .feel import BakedStroke, bake_stroke_steps, without_maps
 from .jobs import Job, Session
+from .mapped import mapped
 from .report import Failed, Report
 
 CACHE_NAME = "cache"
@@ -38,8 +40,10 @@ def bake_steps(
         yield Progress(job.name, done, total)
         try:
             with timed(report, "bake_s"), one_blas_thread():  # Cycles and rays have both cores to fill
-                rendering = _bake(session, job, cache, report)
-                described = yield from _shares(rendering, f"{job.name}: close-ups", done, total)
+                described = yield from mapped(
+                    _bake(session, job, cache, report),
+                    partial(_close_ups, job.name, done, total),
+                )
             baked.append(without_maps(described))
             for stage in each(job, described):
                 yield Progress(f"{job.name}: {stage}", done, total, 0.9)
@@ -53,6 +57,11 @@ def bake_steps(
             report.failed.append(Failed(job.name, f"{job.name}: internal error ({error!r}). Please report it."))
     yield Progress("saving", total - 1, total)
     return tuple(baked)
+
+
+def _close_ups(name: str, done: int, total: int, share: float) -> Progress:
+    """The share of one stroke's patches that is done, as a share of the whole."""
+    return Progress(f"{name}: close-ups", done, total, 0.9 * share)
 
 
 @contextlib.contextmanager
@@ -77,16 +86,3 @@ def _bake(session: Session, job: Job, cache: Path, report: Report) -> Generator[
     for note in described.notes:
         report.warn(note)
     return described
-
-
-def _shares(
-    rendering: Generator[float, None, BakedStroke], stage: str, done: int, total: int
-) -> Generator[Progress, None, BakedStroke]:
-    """Shares of one stroke's patches → Progress of the whole; closes rendering however it ends."""
-    with contextlib.closing(rendering):
-        while True:
-            try:
-                share = next(rendering)
-            except StopIteration as finished:
-                return finished.value  # type: ignore[no-any-return]  # what the generator declares
-            yield Progress(stage, done, total, 0.9 * share)
