@@ -21,6 +21,10 @@ from hnf_core.tactile.tactile_map import Route
 from .bake import TouchedObject, mean_appearance, token_of
 from .store import PatchRecord
 
+CHOSEN = "chosen by the artist"
+GUESS = 0.3
+"""Below this nothing in the scene spoke for a material: a word in a name, or a look that fits one kind, gives more."""
+
 
 @dataclass(frozen=True)
 class Asked:
@@ -42,6 +46,22 @@ class SlotMaterial:
     confidence: float
     reason: str
     field: Field | None = None
+
+
+def certainty_in_words(material: SlotMaterial) -> str:
+    """How sure it is that this is the material, and why; a choice is no matter of shares."""
+    return CHOSEN if material.reason == CHOSEN else f"{material.confidence:.0%} sure of it ({material.reason})"
+
+
+def guess_note(material: SlotMaterial, object_name: str) -> str:
+    """What to say of a material that nothing much speaks for; "" of any other."""
+    if material.reason == CHOSEN or material.confidence >= GUESS:
+        return ""
+    what = f"material '{material.shader}' on '{object_name}'" if material.shader else f"object '{object_name}'"
+    return (
+        f"{what}: {material.library.name} is a guess ({material.confidence:.0%} sure). Say what it is under Feels in "
+        "the Touch tab."
+    )
 
 
 def chosen_material(touched: TouchedObject, slot: int, asked: Asked) -> LibraryMaterial | None:
@@ -78,7 +98,7 @@ def decide_material(touched: TouchedObject, slot: int, asked: Asked, records: Se
     if chosen is not None:
         word, _ = _said(touched, slot, asked)
         field = field_of(word) if isinstance(word, MaterialFile) else None
-        return SlotMaterial(shader, chosen, 1.0, "chosen by the artist", field)
+        return SlotMaterial(shader, chosen, 1.0, CHOSEN, field)
     best = ranked_materials(touched, slot, records)[0]
     return SlotMaterial(shader, find(best.name), best.confidence, best.reason)
 

@@ -22,7 +22,7 @@ from hnf_core.signal import Signal
 
 from ..bridge.quiet import quiet
 from .bake import encoder_of, resolved_wavelength_of, widest_map
-from .choose import SlotMaterial
+from .choose import SlotMaterial, certainty_in_words
 from .feel import BakedStroke, Felt, delivered, signal_facts, stroke_input
 from .jobs import Job
 from .report import StrokeReport
@@ -97,7 +97,7 @@ def _draw(
             "Material": material_line(job.object_name, [baked.materials[slot] for slot in slots]),
             "Routes": facts["routes"],
             "Height": _height_line(facts["height_source"], resolved_wavelength_of(record)),
-            "Confidence": f"{confidence:.0%}; probe: {baked.stroke.probe}",
+            "Confidence": f"{confidence:.0%} in the whole signal; probe: {baked.stroke.probe}",
         },
         tactile=widest_map(record),
     )  # fmt: skip
@@ -138,7 +138,7 @@ def save_baked(path: Path) -> None:
 def material_line(object_name: str, met: Sequence[SlotMaterial]) -> str:
     """Each shader and what it is taken for, in the order in which the stroke meets them."""
     told = [
-        f"{each.shader or 'no material'}{place} → {each.library.name}, {each.confidence:.0%} ({each.reason})"
+        f"{each.shader or 'no material'}{place} → {each.library.name}, {certainty_in_words(each)}"
         for each, place in zip(met, [f" on {object_name}"] + [""] * len(met), strict=False)
     ]
     return "; ".join(told)

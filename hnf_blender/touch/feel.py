@@ -23,7 +23,7 @@ from hnf_core.signal import Signal
 from ..bridge.look import Look
 from ..bridge.strokes import SceneStroke
 from .bake import TouchedObject, bake_patches, encoder_of, source_of, token_of
-from .choose import Asked, SlotMaterial, chosen_material, decide_material
+from .choose import Asked, SlotMaterial, chosen_material, decide_material, guess_note
 from .report import Counts
 from .seeing import Seeing, is_coarse, why_unread
 from .store import PatchRecord
@@ -68,7 +68,7 @@ class BakedStroke:
         own = list(self.stroke.notes) + list(self.touched.surface.notes)
         for record in self.records:
             own += record.notes
-        own += [*self._relief_notes(), *self._learned_notes(), *self.unread]
+        own += [*self._relief_notes(), *self._learned_notes(), *self._guess_notes(), *self.unread]
         off = float(np.mean(~self.contacts.on_surface))
         if off > 0.0:
             own.append(f"stroke '{self.stroke.name}': {off:.0%} of its time it is off the surface and silent.")
@@ -78,6 +78,10 @@ class BakedStroke:
                 "are counted from the object's own axes."
             )
         return tuple(dict.fromkeys(own))
+
+    def _guess_notes(self) -> list[str]:
+        told = (guess_note(each, self.stroke.object_name) for each in self.materials.values())
+        return [note for note in told if note]
 
     def _learned_notes(self) -> list[str]:
         return [

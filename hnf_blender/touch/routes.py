@@ -9,10 +9,10 @@ from hnf_core.tactile.tactile_map import Route
 from ..bridge.look import COARSEST_WAVE_M
 from ..bridge.scene_names import object_in
 from ..bridge.shader_colour import Shows
+from .choose import CHOSEN
 from .jobs import Gathered, Job, Session
 from .plan import IMAGE_SECONDS, PATTERN_SECONDS, SlotPlan
 
-CHOSEN = "chosen by the artist"
 TOO_COARSE = f"its picture shows no waves below {COARSEST_WAVE_M * 1e3:g} mm, or one colour"
 
 

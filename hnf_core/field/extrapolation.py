@@ -153,9 +153,12 @@ def _token(tokens: NDArray[np.float32], ranges: Ranges) -> Iterator[Remark]:
         found = _plain(value(float(tokens[material, feature])))
         text = f"{what} is {found}{unit}, trained on {_plain(low)}–{_plain(high)}{unit}"
         if worst > FAR_WIDTHS:
-            yield worst, f"Its surface is unlike any in training ({text}): the signal is a guess there."
+            yield (
+                worst,
+                f"Its surface is unlike all that the field knows, so that the signal is a guess there ({text}).",
+            )
         else:
-            yield worst, f"Its surface lies just outside training ({text})."
+            yield worst, f"Its surface is a little unlike those that the field knows: the feel is less sure ({text})."
 
 
 def _mechanics(mechanics: list[Mechanics], ranges: Ranges) -> Iterator[Remark]:
