@@ -19,8 +19,12 @@ def leave_with_parent() -> None:
     """The parent holds the other end of standard input and never writes: its end is the parent's, however it died."""
 
     def watch() -> None:
-        while os.read(0, 1024):
-            pass
+        while True:
+            try:
+                if not os.read(0, 1024):
+                    break
+            except OSError:
+                break
         os._exit(PARENT_GONE)
 
     threading.Thread(target=watch, name="hnf parent watch", daemon=True).start()

@@ -1,0 +1,29 @@
+"""A child whose parent died leaves, however its standard input ends: at its end, or with an error."""
+
+from __future__ import annotations
+
+import os
+import threading
+
+import pytest
+
+from hnf_blender.jobs import learn_worker, worker
+
+
+def ended(*_: object) -> bytes:
+    return b""
+
+
+def broken(*_: object) -> bytes:
+    raise OSError("the pipe is being closed")
+
+
+@pytest.mark.parametrize("read", [ended, broken])
+@pytest.mark.parametrize("child", [worker, learn_worker], ids=lambda each: each.__name__.rpartition(".")[2])
+def test_it_leaves(monkeypatch, child, read) -> None:
+    left, codes = threading.Event(), []
+    monkeypatch.setattr(os, "read", read)
+    monkeypatch.setattr(os, "_exit", lambda code: (codes.append(code), left.set()))
+    child.leave_with_parent()
+    assert left.wait(30.0)
+    assert codes == [child.PARENT_GONE]
