@@ -30,8 +30,8 @@ from splats_from_scene import FINE_M, SPACING_M, metres, open_session, scene_spl
 from hnf_blender.bridge.picture import Overviews
 from hnf_blender.touch.jobs import Session
 from hnf_core.errors import HnfError, UsageError
-from hnf_core.export.picture import linear_to_srgb
 from hnf_core.export.png import colour_png, deep_grey_png
+from hnf_core.export.srgb import linear_to_srgb
 from hnf_core.files import write_bytes
 from hnf_core.scene.camera import Camera
 from hnf_core.scene.nerfstudio import FILE_NAME, NerfstudioFrame, write_transforms

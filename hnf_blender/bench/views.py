@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hnf_core.bench.frame import Options, Row, Spread
 from hnf_core.bench.memory import with_peak
 from hnf_core.errors import HnfError
-from hnf_core.export.picture import linear_to_srgb
+from hnf_core.export.srgb import linear_to_srgb
 from hnf_core.scene.camera import Camera
 
 from .needs import need_bpy

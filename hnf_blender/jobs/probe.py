@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from hnf_core.archive import DAMAGED
 from hnf_core.cli.probe import ProbePlace
 from hnf_core.errors import FileError
-from hnf_core.export.picture import linear_to_srgb
+from hnf_core.export.map_picture import stretched
+from hnf_core.export.srgb import linear_to_srgb
 from hnf_core.files import write_bytes
 from hnf_core.material.fuse import routes_in_words
 from hnf_core.material.prior import Suggestion
@@ -83,7 +84,7 @@ def pack_probe(probed: Probed, scene_name: str) -> bytes:
     text = json.dumps({"told": told, "nearest": nearest, "ranked": ranked, "route": route})
     token = token_of(probed.record)
     values, known = ((), ()) if token is None else (token.values, token.known)
-    picture = np.zeros((0, 0, 3), dtype=np.uint8) if probed.tactile is None else _shown(probed.tactile.image)
+    picture = np.zeros((0, 0, 3), dtype=np.uint8) if probed.tactile is None else _shown(stretched(probed.tactile))
     packed = io.BytesIO()
     np.savez_compressed(
         packed,
@@ -127,5 +128,5 @@ def rgba(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
     return shown
 
 
-def _shown(image: NDArray[np.float32]) -> NDArray[np.uint8]:
+def _shown(image: NDArray[np.float64]) -> NDArray[np.uint8]:
     return np.asarray(np.round(255.0 * linear_to_srgb(np.clip(image, 0.0, 1.0))), dtype=np.uint8)

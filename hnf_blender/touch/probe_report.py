@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from hnf_core.export.picture import linear_to_srgb
-from hnf_core.export.png import colour_png
+from hnf_core.export.map_picture import map_picture
 from hnf_core.files import write_bytes
 from hnf_core.material.estimate import Estimate
 from hnf_core.material.fuse import routes_by_band
 from hnf_core.tactile.tactile_map import TactileMap
+from hnf_core.units import m_to_mm
 
 from .bake import resolved_wavelength_of
 from .deliver import file_stem
@@ -30,7 +30,7 @@ def write_probe(folder: Path, probed: Probed) -> dict[str, Any]:
     files: dict[str, Any] | None = None
     if tactile is not None:
         stem = file_stem(f"probe {probed.name}")
-        write_bytes(folder / f"{stem}.png", picture_of(tactile))
+        map_picture(folder / f"{stem}.png", tactile, f"Probe {probed.name}", _said(probed, tactile))
         write_bytes(folder / f"{stem}.npz", numbers_of(tactile))
         files = {"picture": f"{stem}.png", "numbers": f"{stem}.npz"}
     return entry_of(probed, files)
@@ -62,12 +62,6 @@ def entry_of(probed: Probed, files: dict[str, Any] | None) -> dict[str, Any]:
         "source": map_source(probed),
         "notes": list(probed.notes),
     }
-
-
-def picture_of(tactile: TactileMap) -> bytes:
-    """PNG of the sensor image, as a screen shows it (sRGB); unseen pixels are black."""
-    shown = np.where(tactile.mask[..., None], tactile.image, 0.0)
-    return colour_png(np.round(255.0 * linear_to_srgb(np.clip(shown, 0.0, 1.0))).astype(np.uint8))
 
 
 def numbers_of(tactile: TactileMap) -> bytes:
@@ -119,6 +113,18 @@ def _map(probed: Probed, tactile: TactileMap) -> dict[str, Any]:
         "resolved_wavelength_m": resolved if math.isfinite(resolved) else None,
         "height_peak_to_peak_m": probed.record.height_peak_to_peak_m if tactile.height is not None else None,
     }
+
+
+def _said(probed: Probed, tactile: TactileMap) -> tuple[str, ...]:
+    """What the picture says below the map."""
+    span = probed.record.height_peak_to_peak_m if tactile.height is not None else None
+    tall = "" if span is None else f"; {m_to_mm(span):.3g} mm from top to bottom"
+    roughness = float(np.sqrt(np.sum(probed.band_rms_m**2))) * 1e6
+    return (
+        f"Relief from: {map_source(probed)}{tall}.",
+        f"{probed.material.shader or 'No material'} → {probed.material.library.name}, "
+        f"{probed.material.confidence:.0%}; roughness {roughness:.3g} µm RMS.",
+    )
 
 
 def _near(near: Near) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..datasets.ball_calibration import BallPresses, PolynomialTable
 from ..errors import UsageError
-from ..export.picture import linear_to_srgb
+from ..export.srgb import linear_to_srgb
 from ..tactile.optics import SENSORS, Sensor
 from ..units import srgb_to_linear
 from . import polynomial_optics

@@ -5,16 +5,17 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..action.action import Action
 from ..signal import Signal
 from ..tactile.tactile_map import TactileMap
 from .figure import write_figure
+from .map_picture import stretched
 from .path_on_view import StrokeView, draw_path
+from .srgb import linear_to_srgb
 from .tracks import QUIET, TRACKS_BOTTOM, draw_spectrum, draw_tracks
 
 if TYPE_CHECKING:
@@ -26,8 +27,6 @@ MOST_ROWS = 13
 """Of facts, under a view of 16 to 9: down to the lower edge of the tracks."""
 MAP_SIDE = 0.1
 """Of a tactile map, as a share of the picture's width."""
-MAP_SPREAD = 0.2
-"""How far the strongest percent of a tactile map's pixels is drawn from its mean: its own contrast is that of a gel."""
 
 
 def stroke_picture(
@@ -59,12 +58,6 @@ def stroke_picture(
         draw_tracks(figure, action, signal, frequency_scale, highest_hz)
 
     write_figure(path, SIZE_PX, draw)
-
-
-def linear_to_srgb(rgb: NDArray[Any]) -> NDArray[np.float64]:
-    """IEC 61966-2-1 transfer of linear values; out of range is clipped, not-a-number is black."""
-    linear = np.clip(np.nan_to_num(np.asarray(rgb, dtype=np.float64), nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
 def _lines(signal: Signal, facts: Mapping[str, str]) -> list[tuple[str, str]]:
@@ -128,15 +121,10 @@ def _draw_view(
 def _draw_map(figure: Figure, tactile: TactileMap, left: float, top: float) -> None:
     """A square with its upper edge at top, and below it where the map comes from and how wide it is."""
     tall = MAP_SIDE * SIZE_PX[0] / SIZE_PX[1]
-    image = np.asarray(tactile.image, dtype=np.float64)
-    seen = image[tactile.mask]
-    mean = seen.mean(axis=0) if len(seen) else image.mean(axis=(0, 1))
-    spread = float(np.percentile(np.abs(seen - mean), 99)) if len(seen) else 0.0
-    drawn = mean + (image - mean) * max(1.0, MAP_SPREAD / max(spread, 1e-3))
     axes = figure.add_axes((left, top - tall, MAP_SIDE, tall))
-    axes.imshow(linear_to_srgb(np.where(tactile.mask[..., None], drawn, mean)), interpolation="antialiased")
+    axes.imshow(linear_to_srgb(stretched(tactile)), interpolation="antialiased")
     axes.set(xticks=[], yticks=[])
     axes.grid(False)
-    wide = image.shape[1] * tactile.metres_per_pixel * 1e3
+    wide = tactile.image.shape[1] * tactile.metres_per_pixel * 1e3
     said = f"{tactile.route.value} relief, {wide:.3g} mm"
     figure.text(left + MAP_SIDE / 2, top - tall - 0.02, said, color=QUIET, ha="center", fontsize=9)

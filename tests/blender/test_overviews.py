@@ -19,7 +19,7 @@ from hnf_blender.touch import view as touch_view
 from hnf_blender.touch.report import Counts
 from hnf_blender.touch.view import Views
 from hnf_core.errors import SceneError
-from hnf_core.export.picture import linear_to_srgb
+from hnf_core.export.srgb import linear_to_srgb
 from hnf_core.scene.camera import Camera
 
 LEFT = overview_camera([[0, 0, 0]], [-1, -1, 0.2], 0.7, 96, 54)

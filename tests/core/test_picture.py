@@ -20,8 +20,9 @@ from hnf_core.errors import FileError
 from hnf_core.export import picture
 from hnf_core.export.force_colour import force_colour
 from hnf_core.export.path_on_view import StrokeView
-from hnf_core.export.picture import linear_to_srgb, stroke_picture
+from hnf_core.export.picture import stroke_picture
 from hnf_core.export.spectra import spectrogram
+from hnf_core.export.srgb import linear_to_srgb
 from hnf_core.signal import Signal
 from hnf_core.tactile.tactile_map import Route, TactileMap
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hnf_blender.bridge.meshes import Surface
-from hnf_core.export.picture import linear_to_srgb
+from hnf_core.export.srgb import linear_to_srgb
 from hnf_core.scene.mesh import TriangleMesh
 from hnf_core.scene.patch import PATCH_SIZE_M, Patch
 from hnf_core.scene.splats.cloud import Splats
