@@ -22,7 +22,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ..errors import HnfError, UsageError
-from ..field.live_material import synthesis_for_material
+from ..field.live.materials import synthesis_for_material
 from .acceleration import factor, read_acceleration
 from .at_most import at_most
 from .compensation import stages_of

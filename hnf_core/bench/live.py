@@ -27,11 +27,11 @@ from ..actuators.stream import Stream
 from ..errors import DeviceError
 from ..field.field import evaluate
 from ..field.linear_contact import Condition
-from ..field.live import LiveSynthesis
-from ..field.live_emission import LiveEmission
-from ..field.live_hand import STATE_S, HandEvent, LiveHand
-from ..field.live_material import synthesis_for_material
-from ..field.live_state import LiveState
+from ..field.live.emission import LiveEmission
+from ..field.live.hand import STATE_S, HandEvent, LiveHand
+from ..field.live.materials import synthesis_for_material
+from ..field.live.state import LiveState
+from ..field.live.synthesis import LiveSynthesis
 from ..field.weights import load_field
 from ..material.library import find
 from .frame import Options, Row, Spread, Times

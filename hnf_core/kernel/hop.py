@@ -1,5 +1,5 @@
 """Compiled: hops of the carriers, modulated (their twin in numpy is texture_hops in field/texture.py), what a live hand
-reads of them between two states (field/live_arc.py), and where the hand is between states (field/path.py)."""
+reads of them between two states (field/live/arc_noise.py), and where the hand is between states (field/path.py)."""
 
 from __future__ import annotations
 

@@ -9,8 +9,8 @@ import numpy as np
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.field import texture
 from hnf_core.field.knots import Knots
-from hnf_core.field.live import LiveSynthesis
-from hnf_core.field.live_state import LiveState
+from hnf_core.field.live.state import LiveState
+from hnf_core.field.live.synthesis import LiveSynthesis
 from hnf_core.field.path import position
 from hnf_core.field.plain import plain_texture, time_term
 from hnf_core.field.stroke import StrokeInput, uniform_stroke

@@ -17,7 +17,7 @@ from hnf_core.field.config import FieldConfig
 from hnf_core.field.emitter import emitter_of, fits
 from hnf_core.field.field import Field, evaluate, initial_parameters
 from hnf_core.field.linear_contact import Condition
-from hnf_core.field.live_emission import LiveEmission
+from hnf_core.field.live.emission import LiveEmission
 from hnf_core.field.network import heads
 from hnf_core.field.weights import load_field
 from hnf_core.kernel import emission

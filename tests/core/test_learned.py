@@ -19,7 +19,7 @@ from hnf_core.field.carriers import Carriers
 from hnf_core.field.config import FieldConfig
 from hnf_core.field.field import UNTRAINED, Field, initial_parameters
 from hnf_core.field.learned import field_of, learned_material
-from hnf_core.field.live_material import synthesis_for_material
+from hnf_core.field.live.materials import synthesis_for_material
 from hnf_core.field.parts import parts_of, synthesise_parts
 from hnf_core.field.stroke import HeightProfile, StrokeInput, uniform_stroke
 from hnf_core.field.synthesis import synthesise

@@ -23,10 +23,10 @@ from live_strokes import (
 from hnf_core.errors import StrokeError, UsageError
 from hnf_core.field.config import FieldConfig
 from hnf_core.field.field import Field, initial_parameters
-from hnf_core.field.live import LiveSynthesis
-from hnf_core.field.live_noise import KEPT_BLOCKS
-from hnf_core.field.live_octave import KEPT_HOPS
-from hnf_core.field.live_state import LiveState
+from hnf_core.field.live.arc_noise import KEPT_HOPS
+from hnf_core.field.live.state import LiveState
+from hnf_core.field.live.synthesis import LiveSynthesis
+from hnf_core.field.live.time_noise import KEPT_BLOCKS
 from hnf_core.field.stroke import LIMITS, StrokeInput
 from hnf_core.field.synthesis import synthesise
 from hnf_core.field.weights import load_field

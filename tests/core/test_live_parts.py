@@ -13,12 +13,11 @@ from hnf_core.field.config import FieldConfig
 from hnf_core.field.contact_filter import TAIL
 from hnf_core.field.field import Field, evaluate, initial_parameters
 from hnf_core.field.linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition, linear_contact, time_band_power
-from hnf_core.field.live_arc import LiveArc
-from hnf_core.field.live_contact import LivePressing, causal_response
-from hnf_core.field.live_emission import LiveEmission
-from hnf_core.field.live_linear import LiveLinear, TimeShare
-from hnf_core.field.live_noise import KEPT_BLOCKS, LiveNoise
-from hnf_core.field.live_octave import KEPT_HOPS
+from hnf_core.field.live.arc_noise import KEPT_HOPS, LiveArc
+from hnf_core.field.live.emission import LiveEmission
+from hnf_core.field.live.linear_contact import LiveLinear, TimeShare
+from hnf_core.field.live.pressing import LivePressing, causal_response
+from hnf_core.field.live.time_noise import KEPT_BLOCKS, LiveNoise
 from hnf_core.field.synthesis import contact_term, prepare
 from hnf_core.field.weights import load_field
 from hnf_core.kernel.library import plainly

@@ -11,9 +11,9 @@ from live_strokes import error
 
 from hnf_core.actuators.sources.live import LOST_S, Live
 from hnf_core.errors import FileError, MaterialError, UsageError
-from hnf_core.field.live_hand import FORCE_STATES, LONGEST_GAP_S, SPEED_STATES, STATE_S, WINDOW_S, HandEvent, LiveHand
-from hnf_core.field.live_material import synthesis_for_material
-from hnf_core.field.live_state import LiveState
+from hnf_core.field.live.hand import FORCE_STATES, LONGEST_GAP_S, SPEED_STATES, STATE_S, WINDOW_S, HandEvent, LiveHand
+from hnf_core.field.live.materials import synthesis_for_material
+from hnf_core.field.live.state import LiveState
 from hnf_core.material.hnf_file import from_library, write_hnf
 from hnf_core.material.library import find
 

@@ -12,9 +12,9 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from ...field.live import LiveSynthesis
-from ...field.live_hand import STATE_S, HandEvent, LiveHand
-from ...field.live_state import LiveState
+from ...field.live.hand import STATE_S, HandEvent, LiveHand
+from ...field.live.state import LiveState
+from ...field.live.synthesis import LiveSynthesis
 from ...field.stroke import LIMITS
 from ..report import Durations
 from ..source import Samples

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import UsageError
-from ..material.hnf_file import SUFFIX, MaterialFile, completed, read_hnf
-from ..material.library import find
-from ..material.material import LibraryMaterial
-from .field import Field
-from .learned import field_of
-from .live import LiveSynthesis
-from .weights import load_field, own_material
+from ...errors import UsageError
+from ...material.hnf_file import SUFFIX, MaterialFile, completed, read_hnf
+from ...material.library import find
+from ...material.material import LibraryMaterial
+from ..field import Field
+from ..learned import field_of
+from ..weights import load_field, own_material
+from .synthesis import LiveSynthesis
 
 AnyMaterial = str | Path | LibraryMaterial | MaterialFile
 """A name of the library, a `.hnf` file, or what was read from either."""

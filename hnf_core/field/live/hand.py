@@ -19,8 +19,8 @@ from collections import deque
 from dataclasses import dataclass
 from itertools import pairwise
 
-from ..action.action import ACTION_RATE_HZ
-from .live_state import LiveState
+from ...action.action import ACTION_RATE_HZ
+from .state import LiveState
 
 WINDOW_S = 0.024
 SHORTEST_GAP_S, LONGEST_GAP_S = 0.012, 0.05

@@ -14,12 +14,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernel.library import one_blas_thread_in_numpy
-from .band_waves import WavePlan, real_waves, wave_plan
-from .carriers import MODEL_RATE_HZ, TIME_BLOCK, Carriers
-from .hops import HOP, block_window
-from .noise import Bins, band_bins, bins_of
-from .timeline import SAMPLES_PER_STATE
+from ...kernel.library import one_blas_thread_in_numpy
+from ..band_waves import WavePlan, real_waves, wave_plan
+from ..carriers import MODEL_RATE_HZ, TIME_BLOCK, Carriers
+from ..hops import HOP, block_window
+from ..noise import Bins, band_bins, bins_of
+from ..timeline import SAMPLES_PER_STATE
 
 Float = NDArray[np.float64]
 Single = NDArray[np.float32]

@@ -14,11 +14,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..material.contact import force_response
-from ..material.mechanics import Mechanics
-from ..material.probe import PROBES, Probe
-from .carriers import MODEL_RATE_HZ
-from .contact_filter import (
+from ...material.contact import force_response
+from ...material.mechanics import Mechanics
+from ...material.probe import PROBES, Probe
+from ..carriers import MODEL_RATE_HZ
+from ..contact_filter import (
     KEPT_RESPONSES,
     LEAD,
     LIGHTEST_OCTAVE,
@@ -27,7 +27,7 @@ from .contact_filter import (
     STATE_CURVE,
     TAIL,
 )
-from .timeline import SAMPLES_PER_STATE, SHARES
+from ..timeline import SAMPLES_PER_STATE, SHARES
 
 Float = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]

@@ -1,10 +1,11 @@
 """Vibration under a hand as it moves: synthesis state by state, strictly causal.
 
-Each state of 5 ms gives the 5 ms of samples that lead up to it; nothing later is known. Where synthesis.py looks ahead:
+Each state of 5 ms gives the 5 ms of samples that lead up to it; nothing later is known. Where field/synthesis.py
+looks ahead:
 
 * s(t) between states: a cubic whose slopes are backward differences of second order (three states), not central ones.
 * What is read too fast to be held: by the last three motions, not by two on either side.
-* Pressing is one more state late, since the force's spline needs the state after (see live_contact).
+* Pressing is one more state late, since the force's spline needs the state after (see pressing).
 * The touch begins when it is told, not 20 ms before; after a lift the fade of 60 ms is a state shorter, so that both
   together end within 60 ms.
 
@@ -22,21 +23,21 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..action.action import ACTION_RATE_HZ
-from ..errors import UsageError
-from ..material.mechanics import Mechanics, beyond_limits
-from ..material.probe import PROBES
-from ..material.token import LARGEST_VALUE, TOKEN_DIM
-from .audible import AFTER_CONTACT_S
-from .carriers import ARC_PER_OCTAVE, MODEL_RATE_HZ
-from .field import Field
-from .linear_contact import BAND_END_HZ
-from .live_arc import LiveArc
-from .live_contact import LivePressing
-from .live_emission import LiveEmission
-from .live_noise import LiveNoise
-from .live_state import LiveState
-from .timeline import SAMPLES_PER_STATE, SHARES
+from ...action.action import ACTION_RATE_HZ
+from ...errors import UsageError
+from ...material.mechanics import Mechanics, beyond_limits
+from ...material.probe import PROBES
+from ...material.token import LARGEST_VALUE, TOKEN_DIM
+from ..audible import AFTER_CONTACT_S
+from ..carriers import ARC_PER_OCTAVE, MODEL_RATE_HZ
+from ..field import Field
+from ..linear_contact import BAND_END_HZ
+from ..timeline import SAMPLES_PER_STATE, SHARES
+from .arc_noise import LiveArc
+from .emission import LiveEmission
+from .pressing import LivePressing
+from .state import LiveState
+from .time_noise import LiveNoise
 
 Float = NDArray[np.float64]
 

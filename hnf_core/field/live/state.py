@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from ..errors import StrokeError
-from .stroke import LIMITS
+from ...errors import StrokeError
+from ..stroke import LIMITS
 
 
 @dataclass(frozen=True)

@@ -13,14 +13,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import UsageError
-from ..kernel.emission import OneState
-from ..kernel.library import kernel
-from ..material.mechanics import Mechanics
-from ..material.probe import PROBES
-from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M
-from .emitter import emitter_of, fits, fixed_inputs
-from .features import (
+from ...errors import UsageError
+from ...kernel.emission import OneState
+from ...kernel.library import kernel
+from ...material.mechanics import Mechanics
+from ...material.probe import PROBES
+from ...material.token import BAND_FEATURES, BAND_WAVELENGTHS_M
+from ..emitter import emitter_of, fits, fixed_inputs
+from ..features import (
     DIRECTION_AT,
     MECHANICS_AT,
     PACE_M_S,
@@ -31,10 +31,10 @@ from .features import (
     log_amplitude,
     normalised_tokens,
 )
-from .field import LOG_AMPLITUDE_CEILING, Field
-from .linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, arc_gain
-from .lines import GAINS, HARMONICS, LINES, QUIET_LINE_M_S2, SHIFTS, START_LOG
-from .live_linear import LinearState, LiveLinear, TimeShare
+from ..field import LOG_AMPLITUDE_CEILING, Field
+from ..linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, arc_gain
+from ..lines import GAINS, HARMONICS, LINES, QUIET_LINE_M_S2, SHIFTS, START_LOG
+from .linear_contact import LinearState, LiveLinear, TimeShare
 
 Float = NDArray[np.float64]
 Single = NDArray[np.float32]
