@@ -7,6 +7,7 @@ from typing import Any
 
 from .bridge.temporary import SCENE_NAME
 from .props.listed import NEWS
+from .rooms import ignore, listen
 from .state import picked
 from .state.session import STATE
 from .state.watch import EVERYTHING, drain, forget
@@ -89,22 +90,13 @@ def register() -> None:
 
     if bpy.app.background:
         return
-    for name, handler in HANDLERS:
-        getattr(bpy.app.handlers, name).append(bpy.app.handlers.persistent(handler))
     STATE.dirty.add(EVERYTHING)
     NEWS.is_told = True
-    bpy.app.timers.register(tick, first_interval=INTERVAL_S, persistent=True)
+    listen(HANDLERS, tick, INTERVAL_S)
 
 
 def unregister() -> None:
-    import bpy
-
-    for name, handler in HANDLERS:
-        listed = getattr(bpy.app.handlers, name)
-        if handler in listed:
-            listed.remove(handler)
-    if bpy.app.timers.is_registered(tick):
-        bpy.app.timers.unregister(tick)
+    ignore(HANDLERS, tick)
     NEWS.is_told = False
     NEWS.forget()
     forget()

@@ -1,10 +1,13 @@
-"""Switching rooms, and the classes of a room, on and off: all of them, or none."""
+"""Switching rooms, and the classes of a room, on and off: all of them, or none; and what Blender is to call."""
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
+
+Handlers = Sequence[tuple[str, Callable[..., None]]]
+"""Kinds of events as bpy.app.handlers names them, and what is called at each."""
 
 
 def rooms_on(rooms: Iterable[Any], done: list[Any]) -> None:
@@ -50,3 +53,25 @@ def switch_off(classes: Sequence[Any]) -> None:
 
     for each in reversed(classes):
         bpy.utils.unregister_class(each)
+
+
+def listen(handlers: Handlers, tick: Callable[[], float] | None = None, first_s: float = 0.0) -> None:
+    """Have Blender call the handlers, and tick for the first time in first_s, whatever file is opened later."""
+    import bpy
+
+    for name, handler in handlers:
+        getattr(bpy.app.handlers, name).append(bpy.app.handlers.persistent(handler))
+    if tick is not None:
+        bpy.app.timers.register(tick, first_interval=first_s, persistent=True)
+
+
+def ignore(handlers: Handlers, tick: Callable[[], Any] | None = None) -> None:
+    """Have Blender call none of them any more; also where it never did."""
+    import bpy
+
+    for name, handler in handlers:
+        listed = getattr(bpy.app.handlers, name)
+        if handler in listed:
+            listed.remove(handler)
+    if tick is not None and bpy.app.timers.is_registered(tick):
+        bpy.app.timers.unregister(tick)

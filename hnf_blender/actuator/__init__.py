@@ -7,6 +7,8 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any
 
+from ..rooms import ignore, listen
+
 if TYPE_CHECKING:
     from hnf_core.signal import Signal
 
@@ -67,18 +69,18 @@ def _stop() -> None:
         FINDER.end()
 
 
+HANDLERS = (("load_pre", leave_file),)
+
+
 def register() -> None:
     import bpy
 
     atexit.register(_stop)
     if not bpy.app.background:
-        bpy.app.handlers.load_pre.append(bpy.app.handlers.persistent(leave_file))
+        listen(HANDLERS)
 
 
 def unregister() -> None:
-    import bpy
-
     atexit.unregister(_stop)
-    if leave_file in bpy.app.handlers.load_pre:
-        bpy.app.handlers.load_pre.remove(leave_file)
+    ignore(HANDLERS)
     _stop()

@@ -7,6 +7,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+from ..rooms import ignore, listen
 from . import timeline
 from .facts import PREVIEW, PreviewFacts, preview_facts, preview_icon
 
@@ -213,22 +214,13 @@ def register() -> None:
 
     if bpy.app.background:
         return
-    for name, handler in HANDLERS:
-        getattr(bpy.app.handlers, name).append(bpy.app.handlers.persistent(handler))
-    bpy.app.timers.register(tick, first_interval=INTERVAL_S, persistent=True)
+    listen(HANDLERS, tick, INTERVAL_S)
 
 
 def unregister() -> None:
-    import bpy
-
     from . import current, images
 
-    for name, handler in HANDLERS:
-        listed = getattr(bpy.app.handlers, name)
-        if handler in listed:
-            listed.remove(handler)
-    if bpy.app.timers.is_registered(tick):
-        bpy.app.timers.unregister(tick)
+    ignore(HANDLERS, tick)
     if PREVIEW.listener is not None:
         PREVIEW.listener.end()
         PREVIEW.listener = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ..props.scene import place_in
+from ..rooms import ignore, listen
 
 _OWNER = object()
 
@@ -26,15 +27,14 @@ def register() -> None:
 
     if bpy.app.background:
         return
-    bpy.app.handlers.load_post.append(bpy.app.handlers.persistent(_subscribe))
+    listen(HANDLERS)
     _subscribe()
 
 
 def unregister() -> None:
     import bpy
 
-    if _subscribe in bpy.app.handlers.load_post:
-        bpy.app.handlers.load_post.remove(_subscribe)
+    ignore(HANDLERS)
     bpy.msgbus.clear_by_owner(_OWNER)
 
 
@@ -46,3 +46,6 @@ def _subscribe(*_: Any) -> None:
     bpy.msgbus.subscribe_rna(
         key=(bpy.types.LayerObjects, "active"), owner=_OWNER, args=(), notify=follow, options={"PERSISTENT"}
     )
+
+
+HANDLERS = (("load_post", _subscribe),)

@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import bpy
-from bpy.app.handlers import persistent
 
 from ..bridge.temporary import SCENE_NAME
 from ..props.scene import active_stroke, listed_strokes, strokes_of
+from ..rooms import ignore, listen
 from ..state.names import absent
 from ..state.redraw import redraw_views
 from ..state.session import STATE
@@ -50,18 +50,14 @@ OVERLAY = Overlay()
 
 def register() -> None:
     """With a window only."""
-    for name, handler in HANDLERS:
-        getattr(bpy.app.handlers, name).append(handler)
+    listen(HANDLERS)
     OVERLAY.handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_VIEW")
     _everything()
 
 
 def unregister() -> None:
     bpy.types.SpaceView3D.draw_handler_remove(OVERLAY.handle, "WINDOW")
-    for name, handler in reversed(HANDLERS):
-        getattr(bpy.app.handlers, name).remove(handler)
-    if bpy.app.timers.is_registered(_refresh):
-        bpy.app.timers.unregister(_refresh)
+    ignore(HANDLERS, _refresh)
     _forget_all()
 
 
@@ -79,7 +75,6 @@ def _forget(name: str) -> None:
     overlay_gpu.forget(name)
 
 
-@persistent  # type: ignore[untyped-decorator]  # bpy has no types
 def _changed(scene: Any, depsgraph: Any) -> None:
     """Strokes whose object, curve or keys changed."""
     if STATE.own or scene.name == SCENE_NAME:
@@ -105,13 +100,11 @@ def _rate(scene: Any) -> tuple[object, ...]:
     return scene.render.fps, scene.render.fps_base, scene.hnf.metres_per_unit, units.system, units.scale_length
 
 
-@persistent  # type: ignore[untyped-decorator]
 def _undone(*_arguments: Any) -> None:
     """Undo or redo: nothing kept is known to hold; it is drawn until the timer has come to it."""
     _everything()
 
 
-@persistent  # type: ignore[untyped-decorator]
 def _reloaded(*_arguments: Any) -> None:
     """Another file."""
     _forget_all()

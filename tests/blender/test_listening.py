@@ -1,0 +1,42 @@
+"""What Blender is to call: at events, in every file, and after a time; and no more."""
+
+from __future__ import annotations
+
+import bpy
+
+from hnf_blender.rooms import ignore, listen
+
+
+def test_what_is_listened_to_outlives_a_file_and_ends_when_asked() -> None:
+    heard = []
+
+    def told(*_: object) -> None:
+        heard.append("file")
+
+    def tick() -> float:
+        return 1.0
+
+    handlers = (("load_post", told), ("undo_post", told))
+    listen(handlers, tick, 1000.0)
+    try:
+        assert bpy.app.timers.is_registered(tick)
+        for count in (1, 2):
+            bpy.ops.wm.read_factory_settings(use_empty=True)
+            assert heard == ["file"] * count
+        assert bpy.app.timers.is_registered(tick)
+    finally:
+        ignore(handlers, tick)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    assert heard == ["file"] * 2
+    assert not bpy.app.timers.is_registered(tick)
+    ignore(handlers, tick)  # twice does no harm
+
+
+def test_without_a_timer_only_events_count() -> None:
+    heard = []
+    handlers = (("load_pre", lambda *_: heard.append("pre")),)
+    listen(handlers)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    ignore(handlers)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    assert heard == ["pre"]
