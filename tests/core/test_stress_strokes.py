@@ -168,8 +168,11 @@ def test_tables_of_another_unit(time, words):
 
 
 def test_tables_that_begin_late_or_step_by_nothing():
-    """A table that starts at 1.7e9 s, or has a step of 5e-324 s → the action of its own span"""
-    for time in (1.7e9 + np.array([0.0, 0.5, 1.0]), np.array([0.0, 5e-324, 1.0])):
+    """A table that starts at 1.7e9 s, or has steps of 5e-324 s or 1e-9 s → the action of its own span"""
+    for time in (
+        1.7e9 + np.array([0.0, 0.5, 1.0]), np.array([0.0, 5e-324, 1.0]), np.array([0.0, 5e-324, 1e-323, 1.0]),
+        np.array([0.0, 1e-9, 2e-9, 3e-9, 1.0]),
+    ):  # fmt: skip
         action = steady(time)
         assert len(action.speed) == 201
         assert np.isfinite(action.position).all()
