@@ -27,8 +27,7 @@ from scene_splats.touched import touched_patches
 from hnf_blender import props
 from hnf_blender.bridge.boxes import is_visible
 from hnf_blender.bridge.importers import open_scene
-from hnf_blender.jobs.work import scene_session
-from hnf_blender.touch.jobs import Session
+from hnf_blender.touch.jobs import Session, scene_session
 from hnf_core.errors import HnfError, UsageError
 from hnf_core.scene.patch import Patch
 from hnf_core.scene.raycast import ReferenceGeometry

@@ -68,8 +68,8 @@ class Room:
         """What the field is asked about each stroke, as the file keeps it. Raises HnfError where a stroke fails."""
         from ..bridge.strokes import stroke_objects
         from ..jobs import running
-        from ..preview.stroke_bake import load_bake
         from ..touch import bake
+        from ..touch.stroke_bake import load_bake
 
         with (
             patch.object(running, "cache_folder", lambda: self._cache),

@@ -209,9 +209,8 @@ def bake_open_file(folder: Path) -> Cost:
     import bpy
 
     from ..bridge.strokes import stroke_objects
-    from ..jobs.work import scene_session
     from ..touch.feel import feel
-    from ..touch.jobs import gather_curves
+    from ..touch.jobs import gather_curves, scene_session
     from ..touch.report import Report
     from ..touch.steps import bake_steps
     from ..touch.tokens import store_tokens

@@ -13,14 +13,13 @@ from hnf_core.errors import HnfError
 from ..bridge.scene_names import name_in, named_objects
 from ..bridge.splat_cloud import cloud_of, require_writable, write_point_tokens
 from ..bridge.storage import FaceTokens, write_tokens
-from ..preview.stroke_bake import StrokeBake
 from ..state.guard import own_changes
 from ..state.session import STATE, Freshness
 from ..touch.inputs import Inputs
-from ..touch.jobs import Session
+from ..touch.jobs import Session, scene_session
 from ..touch.stored import keep, status_of
+from ..touch.stroke_bake import StrokeBake
 from .order import BakedFile, Refusal, Result, TokenFile, unpack_tokens
-from .work import scene_session
 
 ROUNDS = 3
 """How often what changes while it is looked at is looked at again, bit by bit, before it is done in one go."""

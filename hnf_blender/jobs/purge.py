@@ -13,11 +13,10 @@ from ..bridge.storage import SCHEMA_PROPERTY, remove_tokens
 from ..props.scene import place_in
 from ..state.guard import own_changes
 from ..state.session import STATE, Freshness, StrokeStatus
-from ..touch.jobs import Session
+from ..touch.jobs import Session, scene_session
 from ..touch.stored import forget, judge, stored_bytes, tokens_are_there
 from ..translations import tr
 from ..ui.texts import byte_text
-from .work import scene_session
 
 
 @dataclass(frozen=True)

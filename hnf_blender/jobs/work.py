@@ -8,21 +8,19 @@ from typing import Any
 
 from hnf_core.cli.probe import ProbePlace
 from hnf_core.cli.progress import Progress
-from hnf_core.cli.touch import TouchRequest
 from hnf_core.errors import SceneError
 from hnf_core.files import write_bytes
 
-from ..bridge.metres import metres_per_unit
 from ..bridge.scene_names import name_in, object_in
 from ..bridge.strokes import stroke_objects
-from ..preview.stroke_bake import stroke_bake_of
 from ..state.session import Freshness
 from ..touch.feel import BakedStroke, feel
-from ..touch.jobs import Job, Session, gather_curves
+from ..touch.jobs import Job, Session, gather_curves, scene_session
 from ..touch.mapped import mapped
 from ..touch.report import Report
 from ..touch.steps import bake_steps
 from ..touch.stored import judge, tokens_are_there
+from ..touch.stroke_bake import stroke_bake_of
 from ..touch.tokens import by_mesh, face_tokens, shared_sources
 from .messages import Began, Step
 from .order import BakedFile, Order, Refusal, Result, TokenFile, pack_tokens
@@ -67,12 +65,6 @@ def work_steps(order: Order, folder: Path) -> Steps:
         fresh=len(found.jobs) - len(jobs),
         close_ups=report.counts.close_ups,
     )
-
-
-def scene_session(scene: Any, view_layer: Any, folder: Path) -> Session:
-    """The scene as a bake sees it: its own scale, no word from a command line. folder: for what it writes."""
-    request = TouchRequest(scene=None, out=folder)
-    return Session(scene, view_layer, metres_per_unit(scene), request)
 
 
 def wanted_curves(scene: Any, only: Sequence[str]) -> list[Any]:

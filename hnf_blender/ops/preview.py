@@ -22,7 +22,7 @@ NOT_BAKED = "Not baked yet: press Bake in the Touch tab"
 def can_be_heard(cls: Any, context: Any) -> bool:
     """For poll(): True where the active stroke has a bake that holds, else says why greyed."""
     from ..bridge.keeping import has
-    from ..preview.stroke_bake import BAKE_PROPERTY
+    from ..touch.stroke_bake import BAKE_PROPERTY
 
     if not needs_stroke(cls, context):
         return False

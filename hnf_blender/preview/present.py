@@ -19,7 +19,7 @@ from ..bridge.channels import read_channel, sample_channels
 from ..bridge.keeping import kept
 from ..props.stroke import FORCE_MAX_N
 from ..state.guard import own_changes
-from .stroke_bake import BAKE_PROPERTY, StrokeBake
+from ..touch.stroke_bake import BAKE_PROPERTY, StrokeBake
 
 KEPT = 16
 _loaded: OrderedDict[str, StrokeBake] = OrderedDict()
@@ -67,7 +67,7 @@ def forget() -> None:
 
 def _load(obj: Any, digest: str) -> StrokeBake:
     """Decoding takes milliseconds, and a hand on a key asks many times a second."""
-    from .stroke_bake import load_bake
+    from ..touch.stroke_bake import load_bake
 
     if digest not in _loaded:
         bake = load_bake(obj)

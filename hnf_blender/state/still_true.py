@@ -49,7 +49,7 @@ class StillTrue:
     def _look(self, obj: Any, scene: Any, view_layer: Any) -> bool:
         from hnf_core.errors import SceneError
 
-        from ..jobs.work import scene_session
+        from ..touch.jobs import scene_session
         from ..touch.stored import tokens_are_there
 
         if obj.mode == "EDIT":

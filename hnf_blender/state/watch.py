@@ -142,7 +142,7 @@ class Watch:
         return changed
 
     def _opened(self, scene: Any, view_layer: Any) -> Session:
-        from ..jobs.work import scene_session
+        from ..touch.jobs import scene_session
 
         if self._session is None:
             self._session = scene_session(scene, view_layer, Path())

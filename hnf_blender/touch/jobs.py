@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from hnf_core.material.library import LIBRARY_PATH, find
 from ..bridge.boxes import is_visible, neighbours_hash_parts, visible
 from ..bridge.hashes import material_hash
 from ..bridge.meshes import Surface, flush_edits, mesh_hash, slot_materials, surface_frame, surface_mesh
-from ..bridge.metres import size_warning
+from ..bridge.metres import metres_per_unit, size_warning
 from ..bridge.own_material import own_word
 from ..bridge.owner import owner_text, reads_of
 from ..bridge.picture_names import picture_names
@@ -262,6 +263,12 @@ class Session:
             path=path,
             touch=touch,
         )
+
+
+def scene_session(scene: Any, view_layer: Any, folder: Path) -> Session:
+    """The scene as a bake sees it: its own scale, no word from a command line. folder: for what it writes."""
+    request = TouchRequest(scene=None, out=folder)
+    return Session(scene, view_layer, metres_per_unit(scene), request)
 
 
 def _in_splats(shown: Shows) -> Shows:

@@ -8,11 +8,11 @@ from hnf_core.errors import FileError, StrokeError
 
 from ..bridge import keeping
 from ..bridge.storage import SOURCE_PROPERTY
-from ..preview.stroke_bake import BAKE_PROPERTY, StrokeBake, load_bake, remove_bake, store_bake
 from ..state.session import Freshness, StrokeStatus
 from ..translations import tr
 from .inputs import Inputs
 from .jobs import Job, Session
+from .stroke_bake import BAKE_PROPERTY, StrokeBake, load_bake, remove_bake, store_bake
 from .tokens import shared_sources, surface_source
 
 INPUTS_PROPERTY = "hnf_inputs"

@@ -14,8 +14,8 @@ from hnf_blender.bridge.storage import read_tokens
 from hnf_blender.jobs import current
 from hnf_blender.jobs.folder import PREFIX, is_alive, job_root
 from hnf_blender.jobs.order import pack_tokens
-from hnf_blender.preview.stroke_bake import BAKE_PROPERTY
 from hnf_blender.state.session import STATE, LastJob
+from hnf_blender.touch.stroke_bake import BAKE_PROPERTY
 
 LIMIT_S = 60.0
 ORDER = ("starting", "opening", "reading", "Along", "Along: close-ups", "Along: synthesis", "saving")

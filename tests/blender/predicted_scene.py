@@ -10,10 +10,9 @@ import numpy as np
 from builders import add_plane, float_image
 from closeup_builders import principled
 
-from hnf_blender.jobs.work import scene_session
 from hnf_blender.touch import seeing
 from hnf_blender.touch.feel import BakedStroke
-from hnf_blender.touch.jobs import Job, gather
+from hnf_blender.touch.jobs import Job, gather, scene_session
 from hnf_blender.touch.report import Report
 from hnf_blender.touch.steps import bake_steps
 from hnf_core.tactile.diffusion.config import MapConfig

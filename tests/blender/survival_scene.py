@@ -9,9 +9,9 @@ from job_scene import kept
 
 from hnf_blender.bridge.own_material import carried
 from hnf_blender.compat import fcurves_of
-from hnf_blender.preview.stroke_bake import load_bake
 from hnf_blender.state.session import STATE
 from hnf_blender.state.watch import refresh_status
+from hnf_blender.touch.stroke_bake import load_bake
 from hnf_core.field.synthesis import synthesise
 from hnf_core.field.weights import load_field
 

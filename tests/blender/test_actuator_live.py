@@ -24,9 +24,9 @@ from hnf_blender.bridge.drawn_stroke import cast_on_surface
 from hnf_blender.bridge.own_material import carry
 from hnf_blender.bridge.under_pen import felt_there, meeting
 from hnf_blender.ops.live import likely_material, touch_at
-from hnf_blender.preview.stroke_bake import BAKE_PROPERTY
 from hnf_blender.state.session import STATE
 from hnf_blender.state.still_true import StillTrue
+from hnf_blender.touch.stroke_bake import BAKE_PROPERTY
 from hnf_core.actuators.profile import GENERIC
 from hnf_core.errors import MaterialError, SceneError
 from hnf_core.material.hnf_file import from_library

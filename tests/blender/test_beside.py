@@ -10,10 +10,9 @@ import pytest
 from touch_scene import PLATE, line_stroke, ridge_plate
 
 from hnf_blender.bridge import closeup
-from hnf_blender.jobs.work import scene_session
 from hnf_blender.touch import bake
 from hnf_blender.touch.feel import bake_stroke_steps
-from hnf_blender.touch.jobs import gather
+from hnf_blender.touch.jobs import gather, scene_session
 from hnf_blender.touch.report import Counts
 from hnf_core.errors import MaterialError
 

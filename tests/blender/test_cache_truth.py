@@ -22,9 +22,9 @@ from touch_scene import line_stroke, ridge_plate, save_scene, touch
 from hnf_blender.bridge.strokes import stroke_objects
 from hnf_blender.compat import version
 from hnf_blender.jobs import running, work
-from hnf_blender.preview.stroke_bake import BAKE_PROPERTY
 from hnf_blender.touch import bake, jobs
 from hnf_blender.touch.report import Counts, Report
+from hnf_blender.touch.stroke_bake import BAKE_PROPERTY
 from hnf_blender.touch.tokens import surface_source
 from hnf_core.errors import SceneError
 
@@ -321,7 +321,7 @@ import bpy
 from hnf_blender import props
 props.register()
 from hnf_blender.jobs import running, work
-from hnf_blender.preview.stroke_bake import BAKE_PROPERTY
+from hnf_blender.touch.stroke_bake import BAKE_PROPERTY
 from hnf_blender.touch import bake, jobs
 bake.PATCH_PIXELS = jobs.PATCH_PIXELS = {pixels}
 running.cache_folder = lambda: Path({cache!r})

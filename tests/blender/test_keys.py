@@ -14,8 +14,8 @@ from touch_scene import line_stroke, ridge_plate
 from hnf_blender.bridge.hashes import NEUTRAL, SAME, material_hash
 from hnf_blender.bridge.strokes import HASH_STEP, path_hash, steady_bytes, touch_hash
 from hnf_blender.compat import version
-from hnf_blender.jobs.work import scene_session
 from hnf_blender.touch.inputs import Inputs
+from hnf_blender.touch.jobs import scene_session
 
 FINGER_MOVES_M = 1e-5
 

@@ -27,9 +27,9 @@ from hnf_blender.prefs import HnfPreferences
 from hnf_blender.preview.hearing import Kept, hear
 from hnf_blender.preview.pictures import Look
 from hnf_blender.preview.present import present
-from hnf_blender.preview.stroke_bake import load_bake
 from hnf_blender.state.session import STATE
 from hnf_blender.state.settings import Settings
+from hnf_blender.touch.stroke_bake import load_bake
 from hnf_blender.ui.materials_panel import draw_learn
 from hnf_blender.ui.outside_python import draw_outside_python
 from hnf_core.cli.learn import GATHERING, Lesson

@@ -10,12 +10,12 @@ from builders import add_plane, datablock_names
 from hnf_blender.bridge.picture_names import picture_names
 from hnf_blender.bridge.shader_values import stated_appearance
 from hnf_blender.compat import switch_nodes_on
-from hnf_blender.jobs.work import scene_session
 from hnf_blender.ops.materials import CLASSES, HNF_OT_material_choose, felt_object, library_items
 from hnf_blender.rooms import switch_off, switch_on
 from hnf_blender.state.probe import Relief
 from hnf_blender.state.session import STATE
 from hnf_blender.state.watch import Watch
+from hnf_blender.touch.jobs import scene_session
 from hnf_core.material.library import find, load_library
 from hnf_core.material.token import Token
 from hnf_core.tactile.tactile_map import Route

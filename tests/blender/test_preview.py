@@ -23,9 +23,9 @@ from hnf_blender.preview.facts import PREVIEW
 from hnf_blender.preview.hearing import Kept, Listener, hear
 from hnf_blender.preview.pictures import Look
 from hnf_blender.preview.present import present
-from hnf_blender.preview.stroke_bake import BAKE_PROPERTY, SCHEMA, StrokeBake, load_bake, remove_bake, store_bake
 from hnf_blender.preview.timeline import Follower, placed_strokes
 from hnf_blender.state.watch import refresh_status
+from hnf_blender.touch.stroke_bake import BAKE_PROPERTY, SCHEMA, StrokeBake, load_bake, remove_bake, store_bake
 from hnf_core.errors import FileError, SceneError, StrokeError
 
 

@@ -14,11 +14,10 @@ from panel_recorder import drawn
 from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, touch
 
 from hnf_blender.jobs import current
-from hnf_blender.jobs.work import scene_session
 from hnf_blender.state.session import STATE
 from hnf_blender.touch.bake import token_of
 from hnf_blender.touch.feel import bake_stroke_steps
-from hnf_blender.touch.jobs import gather
+from hnf_blender.touch.jobs import gather, scene_session
 from hnf_blender.touch.probe import Probed, probe_steps
 from hnf_blender.touch.report import Counts
 from hnf_core.cli.probe import ProbePlace

@@ -13,10 +13,11 @@ from touch_scene import line_stroke, ridge_plate
 
 from hnf_blender.bridge.strokes import stroke_objects
 from hnf_blender.compat import version
-from hnf_blender.jobs import running, work
-from hnf_blender.preview.stroke_bake import BAKE_PROPERTY
+from hnf_blender.jobs import running
 from hnf_blender.touch import bake as patches
 from hnf_blender.touch import jobs
+from hnf_blender.touch.jobs import scene_session
+from hnf_blender.touch.stroke_bake import BAKE_PROPERTY
 
 worked_through = pytest.mark.skipif(
     version() < (5, 0, 0), reason="keys are compared on every Blender; that the work follows them, on one"
@@ -72,7 +73,7 @@ def height_in(layer) -> float:
 def key_in(layer) -> str:
     """Of the stroke's signal."""
     layer.update()
-    session = work.scene_session(layer.id_data, layer, Path())
+    session = scene_session(layer.id_data, layer, Path())
     return session.job_of_curve(*stroke_objects(layer.id_data)).key
 
 

@@ -22,10 +22,10 @@ from hnf_blender.bridge.splat_frame import cloud_frame
 from hnf_blender.bridge.splat_reconstruction import TouchSurface, read_reconstruction
 from hnf_blender.bridge.storage import UNBAKED, read_tokens
 from hnf_blender.jobs import running
-from hnf_blender.jobs.work import scene_session
 from hnf_blender.state.session import STATE
 from hnf_blender.state.watch import Watch
 from hnf_blender.touch import bake
+from hnf_blender.touch.jobs import scene_session
 from hnf_core.errors import SceneError
 from hnf_core.scene.splats.surface import reconstruct
 

@@ -27,7 +27,7 @@ from ..bridge.keeping import drop, keep, kept
 if TYPE_CHECKING:
     from hnf_core.field.field import Field
 
-    from ..touch.feel import BakedStroke, Felt
+    from .feel import BakedStroke, Felt
 
 BAKE_PROPERTY = "hnf_bake"
 """ID property of the stroke's curve object."""
@@ -126,7 +126,7 @@ class StrokeBake:
 
 def stroke_bake_of(baked: BakedStroke, felt: Felt, *, key: str, path_key: str) -> StrokeBake:
     """What to keep of a stroke that was baked and felt. key, path_key: of its job."""
-    from ..touch.feel import known_shares, signal_facts
+    from .feel import known_shares, signal_facts
 
     return StrokeBake(
         stroke=felt.stroke,
