@@ -14,9 +14,10 @@ from ..bridge.scene_names import name_in, named_objects
 from ..bridge.splat_cloud import cloud_of, require_writable, write_point_tokens
 from ..bridge.storage import FaceTokens, write_tokens
 from ..state.guard import own_changes
-from ..state.session import STATE, Freshness
+from ..state.session import STATE
 from ..touch.inputs import Inputs
 from ..touch.jobs import Session, scene_session
+from ..touch.status import Freshness
 from ..touch.stored import keep, status_of
 from ..touch.stroke_bake import StrokeBake
 from .order import BakedFile, Refusal, Result, TokenFile, unpack_tokens

@@ -10,10 +10,11 @@ from hnf_core.tactile.tactile_map import Route
 from ..bridge.scene_names import object_in
 from ..bridge.storage import token_bytes
 from ..bridge.strokes import stroke_objects
-from ..state.session import STATE, Freshness, PlanLine, PlanView, StrokeStatus
+from ..state.session import STATE, PlanLine, PlanView
 from ..touch.jobs import Gathered, Job, Session, gather_curves, look_around, scene_session
 from ..touch.plan import PREDICTION_SECONDS, SYNTHESIS_SECONDS, closeup_seconds, patches_at_most
 from ..touch.routes import slot_plans
+from ..touch.status import Freshness, StrokeStatus
 from ..touch.stored import judge, stored_bytes
 from ..translations import tr
 from .work import is_done

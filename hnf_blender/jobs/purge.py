@@ -12,8 +12,9 @@ from ..bridge.splat_cloud import cloud_of, remove_point_tokens
 from ..bridge.storage import SCHEMA_PROPERTY, remove_tokens
 from ..props.scene import place_in
 from ..state.guard import own_changes
-from ..state.session import STATE, Freshness, StrokeStatus
+from ..state.session import STATE
 from ..touch.jobs import Session, scene_session
+from ..touch.status import Freshness, StrokeStatus
 from ..touch.stored import forget, judge, stored_bytes, tokens_are_there
 from ..translations import tr
 from ..ui.texts import byte_text

@@ -13,11 +13,11 @@ from hnf_core.files import write_bytes
 
 from ..bridge.scene_names import name_in, object_in
 from ..bridge.strokes import stroke_objects
-from ..state.session import Freshness
 from ..touch.feel import BakedStroke, feel
 from ..touch.jobs import Job, Session, gather_curves, scene_session
 from ..touch.mapped import mapped
 from ..touch.report import Report
+from ..touch.status import Freshness
 from ..touch.steps import bake_steps
 from ..touch.stored import judge, tokens_are_there
 from ..touch.stroke_bake import stroke_bake_of

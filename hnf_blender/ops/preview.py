@@ -11,7 +11,8 @@ from hnf_core.errors import HnfError
 from ..preview.facts import PREVIEW
 from ..props.scene import active_stroke
 from ..state.redraw import redraw_tab
-from ..state.session import STATE, Freshness
+from ..state.session import STATE
+from ..touch.status import Freshness
 from ..translations import tr
 from .greyed import greyed
 from .strokes import needs_stroke

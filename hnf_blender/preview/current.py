@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from ..actuator.sound import Sound
 from ..props.scene import actuator_of
-from ..state.session import STATE, Freshness
+from ..state.session import STATE
+from ..touch.status import Freshness
 from ..translations import tr
 from .facts import PREVIEW, PreviewFacts
 from .outputs import Outputs

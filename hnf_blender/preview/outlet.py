@@ -15,7 +15,8 @@ from hnf_core.signal import Signal
 from ..bridge.scene_names import name_in, object_in
 from ..props.export_formats import CHOICE_OF
 from ..props.scene import actuator_of
-from ..state.session import STATE, Freshness
+from ..state.session import STATE
+from ..touch.status import Freshness
 from .companions import companions, mark
 from .facts import PREVIEW
 from .monitor import monitor_factor

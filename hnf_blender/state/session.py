@@ -3,47 +3,16 @@ the .blend. Blender data is named, never referenced: a reference dies with the n
 
 from __future__ import annotations
 
-from enum import Enum
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..bridge.scene_names import name_in
+from ..touch.status import StrokeStatus
 
 if TYPE_CHECKING:
     from hnf_core.material.prior import Suggestion
 
     from ..jobs.outside_python import OutsidePython
     from .probe import ProbeView, Relief
-
-
-class Freshness(Enum):
-    """How a stroke's stored bake stands to the scene.
-
-    UNKNOWN: not looked at since the last change. UNBAKED: none. FRESH: true as it is. FORCE: only force, seed or probe
-    changed; heard at once, nothing to bake. STALE: path, timing, surface or material changed; must be baked again.
-    BROKEN: the stroke cannot be read; why says so.
-    """
-
-    UNKNOWN = "unknown"
-    UNBAKED = "unbaked"
-    FRESH = "fresh"
-    FORCE = "force"
-    STALE = "stale"
-    BROKEN = "broken"
-
-
-class StrokeStatus(NamedTuple):
-    """why: one sentence for the artist. duration_s, library_material, routes, confidence, warnings: as last baked.
-    shader: the Blender material that it mostly touches."""
-
-    freshness: Freshness
-    why: str = ""
-    duration_s: float = 0.0
-    object_name: str = ""
-    library_material: str = ""
-    routes: str = ""
-    confidence: float = 0.0
-    warnings: tuple[str, ...] = ()
-    shader: str = ""
 
 
 class JobStatus(NamedTuple):

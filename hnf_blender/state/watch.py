@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..bridge.scene_names import name_in, object_in
+from ..touch.status import Freshness, StrokeStatus
 from ..translations import tr
 from .guard import own_changes
 from .names import absent
-from .session import STATE, Freshness, StrokeStatus
+from .session import STATE
 
 if TYPE_CHECKING:
     from ..touch.jobs import Session

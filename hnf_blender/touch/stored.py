@@ -8,10 +8,10 @@ from hnf_core.errors import FileError, StrokeError
 
 from ..bridge import keeping
 from ..bridge.storage import SOURCE_PROPERTY
-from ..state.session import Freshness, StrokeStatus
 from ..translations import tr
 from .inputs import Inputs
 from .jobs import Job, Session
+from .status import Freshness, StrokeStatus
 from .stroke_bake import BAKE_PROPERTY, StrokeBake, load_bake, remove_bake, store_bake
 from .tokens import shared_sources, surface_source
 

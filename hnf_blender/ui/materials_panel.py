@@ -11,7 +11,8 @@ from ..bridge.scene_names import name_in
 from ..ops.materials import felt_object, spoken
 from ..ops.outside_python import python_path
 from ..props.material import OWN_DEFINITION, OWN_NAME
-from ..state.session import STATE, StrokeStatus
+from ..state.session import STATE
+from ..touch.status import StrokeStatus
 from ..translations import tr
 from .layout import TouchPanel, hint, named, paragraph, side_by_side
 from .texts import reason_text, routes_lines, sure_text

@@ -9,7 +9,8 @@ import bpy
 from ..actuator.state import ACTUATOR
 from ..preview.facts import PreviewFacts, preview_facts, preview_icon
 from ..props.scene import active_stroke, listed_strokes
-from ..state.session import STATE, Freshness
+from ..state.session import STATE
+from ..touch.status import Freshness
 from ..translations import tr
 from .layout import TouchPanel, hint, paragraph
 

@@ -7,7 +7,8 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from ..state.session import Freshness, JobStatus, PlanLine, PlanView, StrokeStatus
+from ..state.session import JobStatus, PlanLine, PlanView
+from ..touch.status import Freshness, StrokeStatus
 from ..translations import tr
 
 ELLIPSIS = "…"

@@ -15,8 +15,9 @@ from hnf_blender.props.scene import has_strokes, listed_strokes, strokes_of
 from hnf_blender.state import picked, watch
 from hnf_blender.state.guard import own_changes
 from hnf_blender.state.names import FEW
-from hnf_blender.state.session import STATE, Freshness, StrokeStatus
+from hnf_blender.state.session import STATE
 from hnf_blender.state.watch import EVERYTHING, refresh_status
+from hnf_blender.touch.status import Freshness, StrokeStatus
 
 
 @pytest.fixture(autouse=True)

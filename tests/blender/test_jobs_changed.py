@@ -12,7 +12,8 @@ from hnf_blender.jobs import running
 from hnf_blender.jobs.commit import commit_steps
 from hnf_blender.jobs.folder import remove_folder
 from hnf_blender.jobs.work import work_steps
-from hnf_blender.state.session import STATE, Freshness
+from hnf_blender.state.session import STATE
+from hnf_blender.touch.status import Freshness
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY
 from hnf_core.errors import HnfError
 

@@ -8,8 +8,9 @@ import pytest
 from job_scene import PLATE, kept, small_scene
 from touch_scene import save_scene, touch
 
-from hnf_blender.state.session import STATE, Freshness
+from hnf_blender.state.session import STATE
 from hnf_blender.touch.choose import relief_of
+from hnf_blender.touch.status import Freshness
 from hnf_blender.touch.store import PatchRecord
 from hnf_blender.touch.stroke_bake import load_bake
 from hnf_core.material.library import load_library

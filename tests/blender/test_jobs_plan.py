@@ -9,7 +9,8 @@ from job_scene import NOTHING, PLATE, kept, line_stroke, small_scene
 from touch_scene import save_scene
 
 from hnf_blender.bridge.storage import token_bytes
-from hnf_blender.state.session import STATE, Freshness
+from hnf_blender.state.session import STATE
+from hnf_blender.touch.status import Freshness
 from hnf_blender.touch.stored import stored_bytes
 
 

@@ -10,9 +10,10 @@ from touch_scene import save_scene, touch
 
 from hnf_blender.bridge.scene_names import name_in, named_objects, object_in
 from hnf_blender.jobs import plan_view, running
-from hnf_blender.state.session import STATE, Freshness
+from hnf_blender.state.session import STATE
 from hnf_blender.state.watch import refresh_status
 from hnf_blender.touch.jobs import gather, scene_session
+from hnf_blender.touch.status import Freshness
 from hnf_blender.touch.stroke_bake import load_bake
 from hnf_blender.touch.targets import resolve_target
 from hnf_blender.ui import follow_selection

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hnf_blender.state.session import Freshness, StrokeStatus
+from hnf_blender.touch.status import Freshness, StrokeStatus
 from hnf_blender.ui import texts
 from hnf_blender.ui.materials_panel import alike
 

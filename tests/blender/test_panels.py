@@ -19,16 +19,9 @@ from hnf_blender.prefs import HnfPreferences
 from hnf_blender.preview.facts import PREVIEW, PreviewFacts
 from hnf_blender.props.scene import active_stroke
 from hnf_blender.rooms import classes_of
-from hnf_blender.state.session import (
-    STATE,
-    Freshness,
-    JobStatus,
-    LastJob,
-    PlanLine,
-    PlanView,
-    StrokeStatus,
-)
+from hnf_blender.state.session import STATE, JobStatus, LastJob, PlanLine, PlanView
 from hnf_blender.state.settings import Settings, settings
+from hnf_blender.touch.status import Freshness, StrokeStatus
 from hnf_blender.ui import stroke_list, texts
 from hnf_core.action.primitives import PRIMITIVES
 

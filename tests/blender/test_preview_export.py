@@ -11,8 +11,9 @@ from touch_scene import save_scene, set_keys, touch
 from hnf_blender.preview import current
 from hnf_blender.preview.companions import ID_PROPERTY, companions, mark
 from hnf_blender.preview.facts import PREVIEW
-from hnf_blender.state.session import STATE, Freshness
+from hnf_blender.state.session import STATE
 from hnf_blender.state.watch import refresh_status
+from hnf_blender.touch.status import Freshness
 
 
 def exported(tmp_path) -> dict[str, bytes]:

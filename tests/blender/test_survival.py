@@ -18,7 +18,8 @@ from hnf_blender.bridge.storage import read_tokens
 from hnf_blender.jobs import running
 from hnf_blender.preview.present import present
 from hnf_blender.props.material import OWN_DEFINITION
-from hnf_blender.state.session import STATE, Freshness
+from hnf_blender.state.session import STATE
+from hnf_blender.touch.status import Freshness
 from hnf_blender.touch.stroke_bake import BAKE_PROPERTY, load_bake
 from hnf_core.material.hnf_file import from_library
 from hnf_core.material.library import find

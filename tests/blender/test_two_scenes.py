@@ -9,7 +9,8 @@ from job_scene import small_scene
 from hnf_blender.jobs import plan_view, running
 from hnf_blender.jobs.purge import purge
 from hnf_blender.state import watch
-from hnf_blender.state.session import STATE, Freshness
+from hnf_blender.state.session import STATE
+from hnf_blender.touch.status import Freshness
 from hnf_blender.ui.scene_panel import counts_text
 
 
