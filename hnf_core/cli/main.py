@@ -57,8 +57,8 @@ def main(
         if not argv:
             parser.print_help()
             return 2
-        if verb and verb not in MODULES:
-            raise _no_such_command(verb)
+        if argv[0] not in MODULES and not argv[0].startswith("-"):  # after an option, argparse judges: --help helps
+            raise _no_such_command(argv[0])
         arguments = parser.parse_args(list(argv))
         code = int(arguments.run(arguments))
         print(end="", flush=True)

@@ -70,3 +70,14 @@ def test_a_command_that_is_none_is_answered_with_what_does_it(
     assert told.startswith(f"hnf: there is no command '{word}'. ")
     assert said in told
     assert told.count("\n") == 1
+
+
+@pytest.mark.parametrize(("option", "said"), [("--version", f"hnf {hnf_core.__version__}\n"), ("--help", "usage: hnf")])
+@pytest.mark.parametrize("word", ["doctor", "xyzzy"])
+def test_help_and_version_are_told_whatever_follows(
+    option: str, said: str, word: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert hnf(option, word) == 0
+    told = capsys.readouterr()
+    assert told.out.startswith(said)
+    assert told.err == ""
