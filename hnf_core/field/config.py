@@ -28,7 +28,7 @@ class FieldConfig:
     apart; the field then ignores d. line_gains: an output for each tone of the token's lattice, see lines; needs
     physics, log emission and arc carriers. stroke_frame: the network sees the token in the frame of the stroke instead
     of token and d, see features.seen_from. Raises ValueError where past states are not a whole number of action
-    samples apart, one at least.
+    samples apart, one at least, and no distance of states is more than a second.
     """
 
     hidden: int = 256
@@ -47,6 +47,8 @@ class FieldConfig:
 
     def __post_init__(self) -> None:
         if self.accumulation != "past":
+            if not 0.0 <= self.spacing_s <= 1.0:
+                raise ValueError(f"spacing_s must lie between 0 and 1, not {self.spacing_s:g}")
             return
         steps = self.spacing_s * ACTION_RATE_HZ
         if not 0.5 < steps < ACTION_RATE_HZ + 0.5 or abs(steps - round(steps)) > 1e-9 * steps:

@@ -170,9 +170,10 @@ def _field(file: WeightsFile) -> Field:
 def _config(record: Mapping[str, Any]) -> FieldConfig:
     carriers = dict(record["carriers"])
     carriers["time_edges_hz"] = tuple(float(edge) for edge in carriers["time_edges_hz"])
+    # Before they are made of it: what is of another kind would fail there in words of Python's own.
+    _check_kinds(FieldConfig, record)
+    _check_kinds(Carriers, carriers)
     config = FieldConfig(**{**record, "carriers": Carriers(**carriers)})
-    _check_kinds(config)
-    _check_kinds(config.carriers)
     _check_carriers(config.carriers)
     if config.accumulation not in ("past", "heads") or config.emission not in ("log", "linear"):
         raise ValueError(f"unknown accumulation {config.accumulation!r} or emission {config.emission!r}")
@@ -184,8 +185,8 @@ def _config(record: Mapping[str, Any]) -> FieldConfig:
         raise ValueError(
             f"hidden, layers and states must be positive, layers {MOST_LAYERS} at most, arc_knots 0 or 2 up"
         )
-    if not 0.0 <= config.spacing_s <= 1.0 or not 0 <= config.action_octaves <= MOST_OCTAVES:
-        raise ValueError(f"spacing_s must lie between 0 and 1, action_octaves between 0 and {MOST_OCTAVES}")
+    if not 0 <= config.action_octaves <= MOST_OCTAVES:
+        raise ValueError(f"action_octaves must lie between 0 and {MOST_OCTAVES}")
     physical = config.physics and (config.emission, config.accumulation) == ("log", "past")
     if config.line_gains and not (physical and config.carriers.arc_count):
         raise ValueError("line gains need the linear contact, log emission, past states and arc carriers")
@@ -197,12 +198,13 @@ def _config(record: Mapping[str, Any]) -> FieldConfig:
 _NUMBERS: dict[str, type | tuple[type, ...]] = {"int": int, "float": (int, float), "bool": bool}
 
 
-def _check_kinds(record: FieldConfig | Carriers) -> None:
-    """Raises TypeError where a number is of another kind than the architecture has there."""
-    for each in dataclasses.fields(record):
-        kind, value = str(each.type), getattr(record, each.name)
+def _check_kinds(made: type[FieldConfig | Carriers], record: Mapping[str, Any]) -> None:
+    """Raises TypeError where a number of the record is of another kind than what is made of it has there."""
+    kinds = {each.name: str(each.type) for each in dataclasses.fields(made)}
+    for name, value in record.items():
+        kind = kinds.get(name, "")
         if kind in _NUMBERS and (not isinstance(value, _NUMBERS[kind]) or isinstance(value, bool) != (kind == "bool")):
-            raise TypeError(f"{each.name} is {value!r:.40}, not of kind {kind}")
+            raise TypeError(f"{name} is {value!r:.40}, not of kind {kind}")
 
 
 def _check_carriers(carriers: Carriers) -> None:

@@ -57,6 +57,12 @@ def test_whatever_a_description_says_it_is_refused_or_can_be_felt(name: str) -> 
         ("spacing_s", 0.002, "a whole multiple of 0.005 s"),
         ("spacing_s", -0.01, "spacing_s must lie between 0 and 1"),
         ("spacing_s", float("nan"), "spacing_s must lie between 0 and 1"),
+        ("spacing_s", "x", "spacing_s is 'x', not of kind float"),
+        ("spacing_s", None, "spacing_s is None, not of kind float"),
+        ("spacing_s", True, "spacing_s is True, not of kind float"),
+        ("hidden", "x", "hidden is 'x', not of kind int"),
+        ("carriers.arc_octaves", "x", "arc_octaves is 'x', not of kind int"),
+        ("action_octaves", 17, "action_octaves must lie between 0 and 16"),
         ("states", 2.0, "states is 2.0, not of kind int"),
         ("carriers.time_edges_hz", [200.0, 100.0, 50.0], "band 0 holds no bin"),
         ("carriers.time_edges_hz", [50.0, 50.1, 50.2], "holds no bin"),
@@ -77,6 +83,12 @@ def test_past_states_are_states_of_the_action(spacing_s: float) -> None:
         FieldConfig(spacing_s=spacing_s)
     assert [FieldConfig(spacing_s=0.005 * stride).stride for stride in range(1, 201)] == list(range(1, 201))
     assert FieldConfig(accumulation="heads", spacing_s=0.0).alpha_heads == 5
+
+
+@pytest.mark.parametrize("spacing_s", [-0.01, 1.005, np.nan, np.inf])
+def test_heads_of_one_state_are_a_second_apart_at_most(spacing_s: float) -> None:
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        FieldConfig(accumulation="heads", spacing_s=spacing_s)
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, '{"token": [1' + "0" * 400 + "]}", "[]", '{"token": "x"}'])
