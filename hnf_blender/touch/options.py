@@ -1,4 +1,4 @@
-"""Words of the command line: what notes ask to be done in the Touch tab, as options; and things with their number."""
+"""Words of the command line: what notes ask to be done in the Touch tab, as options."""
 
 from __future__ import annotations
 
@@ -13,8 +13,3 @@ def with_option(note: str) -> str:
     """The note, and the option that does what it asks for, where there is one."""
     options = [option for place, option in OPTIONS.items() if place in note]
     return f"{note} Here: {', '.join(options)}." if options else note
-
-
-def counted(count: int, thing: str) -> str:
-    """ "1 stroke", "2 strokes"."""
-    return f"{count} {thing}" if count == 1 else f"{count} {thing}s"

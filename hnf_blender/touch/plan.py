@@ -6,9 +6,10 @@ import json
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 
+from hnf_core.counted import counted
 from hnf_core.tactile.tactile_map import Route
 
-from .options import counted, with_option
+from .options import with_option
 from .report import Failed, Skipped
 
 LOOKS = 2

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from hnf_core.cli.probe import ProbePlace
 from hnf_core.cli.progress import Progress
+from hnf_core.counted import counted
 from hnf_core.errors import HnfError
 
 from ..bridge.strokes import stroke_objects
@@ -29,8 +30,7 @@ def without_strokes(session: Session) -> Gathered:
     count = len(stroke_objects(session.scene))
     found = Gathered()
     if count:
-        what = "1 stroke" if count == 1 else f"{count} strokes"
-        found.skipped.append(Skipped(f"{what} of the scene", "only probes are asked for"))
+        found.skipped.append(Skipped(f"{counted(count, 'stroke')} of the scene", "only probes are asked for"))
     return found
 
 

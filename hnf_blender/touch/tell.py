@@ -10,8 +10,9 @@ from pathlib import Path
 
 from hnf_core.cli.program import program
 from hnf_core.cli.touch import TouchRequest
+from hnf_core.counted import counted
 
-from .options import counted, with_option
+from .options import with_option
 from .probe_report import probe_line
 from .report import REPORT_NAME, Report, StrokeReport
 

@@ -27,11 +27,11 @@ from ..actuators.targets import (
     parse_target,
     sink_of,
 )
+from ..counted import counted
 from ..errors import FileError, UsageError
 from ..export.wav import read_wav, write_wav
 from ..field.carriers import MODEL_RATE_HZ
 from ..signal import Signal
-from .counted import counted
 from .seed import seed_of
 from .verbs import HELP
 

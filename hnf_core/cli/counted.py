@@ -1,8 +1,5 @@
-"""How many of a thing, for people."""
+"""counted(), for the command line's modules that import it from here."""
 
-from __future__ import annotations
+from ..counted import counted
 
-
-def counted(number: int, one: str) -> str:
-    """one: the thing in the singular, whose plural ends in s: 1 block, 2 blocks."""
-    return f"{number} {one}" if number == 1 else f"{number} {one}s"
+__all__ = ["counted"]

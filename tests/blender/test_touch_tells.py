@@ -11,7 +11,6 @@ import pytest
 from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, touch
 
 from hnf_blender.cli import main
-from hnf_blender.touch.options import counted
 from hnf_blender.touch.report import Report
 from hnf_blender.touch.tell import closing
 from hnf_core.cli.program import program
@@ -68,8 +67,7 @@ def test_a_probe_is_one_place(tmp_path, capsys) -> None:
     assert "Listen" not in said
 
 
-def test_one_is_singular() -> None:
-    assert (counted(1, "stroke"), counted(2, "stroke"), counted(0, "stroke")) == ("1 stroke", "2 strokes", "0 strokes")
+def test_nothing_touched_needs_no_closing_words() -> None:
     assert closing(Report("x.blend", 1.0, "--scale"), Path("out")) == []
 
 

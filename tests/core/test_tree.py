@@ -20,7 +20,7 @@ LINE_LIMIT = 400
 
 # docs/architecture.md: a room may use the rooms of a lower floor only. Rooms of one floor do not know each other.
 FLOORS = (
-    ("errors", "closest"),
+    ("errors", "closest", "counted"),
     ("units", "files", "signal", "tensor_file", "blas", "archive", "folder_lock", "cores"),
     ("kernel",),
     ("weights_file",),
