@@ -6,7 +6,7 @@ import argparse
 import json
 from typing import Any
 
-from .health import PACKAGES, base_versions, field_identity, file_hashes, kernel_state, version_of
+from .health import PACKAGES, Fact, base_versions, field_identity, file_hashes, kernel_state, version_of
 from .verbs import HELP
 
 CACHE = "in the folder 'cache' of each --out"
@@ -26,10 +26,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Prints; returns the exit code, 0 whatever is missing."""
     facts = (
         *base_versions(),
-        ("Compiled kernel", kernel_state()),
-        ("Field", field_identity()),
+        Fact("compiled_kernel", "Compiled kernel", kernel_state()),
+        Fact("field", "Field", field_identity()),
         *file_hashes(),
-        ("Cache of touch", CACHE),
+        Fact("touch_cache", "Cache of touch", CACHE),
     )
     packages = [(each, version_of(each.name)) for each in PACKAGES]
     if arguments.json:
@@ -37,9 +37,10 @@ def run(arguments: argparse.Namespace) -> int:
             each.name: {"version": version or None, "without": "" if version else each.without}
             for each, version in packages
         }
-        print(json.dumps({**dict(facts), "packages": found}, indent=1, ensure_ascii=False))
+        print(json.dumps({**{each.key: each.value for each in facts}, "packages": found}, indent=1, ensure_ascii=False))
         return 0
-    rows = [*facts, *((each.name, version or f"not installed: {each.without}") for each, version in packages)]
+    rows = [(each.label, each.value) for each in facts]
+    rows += [(each.name, version or f"not installed: {each.without}") for each, version in packages]
     width = max(len(name) for name, _ in rows)
     print("\n".join(f"{name:<{width}}  {value}" for name, value in rows))
     return 0

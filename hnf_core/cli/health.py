@@ -4,9 +4,19 @@ from __future__ import annotations
 
 import platform
 from dataclasses import dataclass
+from pathlib import Path
 
 from .. import __version__
 from ..errors import HnfError
+
+
+@dataclass(frozen=True)
+class Fact:
+    """key: its name for programs, which stays when the label is worded anew. label: its name for people."""
+
+    key: str
+    label: str
+    value: str
 
 
 @dataclass(frozen=True)
@@ -30,13 +40,13 @@ PACKAGES = (
 )
 
 
-def base_versions() -> tuple[tuple[str, str], ...]:
+def base_versions() -> tuple[Fact, ...]:
     """Of the program, of Python and of what it cannot run without."""
     return (
-        ("hnf", __version__),
-        ("Python", platform.python_version()),
-        ("numpy", version_of("numpy") or "not installed"),
-        ("System", f"{platform.system()} {platform.release()} {platform.machine()}"),
+        Fact("hnf", "hnf", __version__),
+        Fact("python", "Python", platform.python_version()),
+        Fact("numpy", "numpy", version_of("numpy") or "not installed"),
+        Fact("system", "System", f"{platform.system()} {platform.release()} {platform.machine()}"),
     )
 
 
@@ -67,16 +77,19 @@ def field_identity() -> str:
         return str(error)
 
 
-def file_hashes() -> tuple[tuple[str, str], ...]:
+def file_hashes() -> tuple[Fact, ...]:
     """Content hashes of the material library and of the network that reads pictures; "not there" without the file."""
     from ..files import content_hash
     from ..material.library import LIBRARY_PATH
     from ..tactile.diffusion.weights import DEFAULT_WEIGHTS
 
-    found = []
-    for name, path in (("Material library", LIBRARY_PATH), ("Weights for pictures", DEFAULT_WEIGHTS)):
+    def hash_of(path: Path) -> str:
         try:
-            found.append((name, content_hash(path.read_bytes())))
+            return content_hash(path.read_bytes())
         except OSError as error:
-            found.append((name, f"not there ({error.strerror}): {path}"))
-    return tuple(found)
+            return f"not there ({error.strerror}): {path}"
+
+    return (
+        Fact("material_library", "Material library", hash_of(LIBRARY_PATH)),
+        Fact("weights_for_pictures", "Weights for pictures", hash_of(DEFAULT_WEIGHTS)),
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from typing import Any
 
 import numpy as np
@@ -27,13 +28,16 @@ def test_it_tells_versions_hashes_and_who_does_the_kernels_work(capsys: pytest.C
     assert hnf("doctor", "--json") == 0
     told = json.loads(capsys.readouterr().out)
     assert (told["hnf"], told["numpy"]) == (hnf_core.__version__, np.__version__)
-    assert told["Field"] == load_field().identity
-    assert len(told["Material library"]) == len(told["Weights for pictures"]) == 32
+    assert told["field"] == load_field().identity
+    assert len(told["material_library"]) == len(told["weights_for_pictures"]) == 32
     assert set(told["packages"]) == {each.name for each in PACKAGES}
     assert all(bool(each["version"]) != bool(each["without"]) for each in told["packages"].values())
+    assert [key for key in told if not re.fullmatch("[a-z]+(_[a-z]+)*", key)] == []
     with plainly():
         assert hnf("doctor") == 0
-    assert "using slower numpy version" in capsys.readouterr().out
+    rows = capsys.readouterr().out
+    assert "Compiled kernel" in rows
+    assert "using slower numpy version" in rows
 
 
 def test_a_missing_part_is_named_with_what_it_costs(
