@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
+from functools import cached_property
 from typing import Any
 
 
 def name_in(scene: Any, obj: Any) -> str:
     """Its own name; of a linked object that shares its name with another of the scene the full one, which says the
     file too ("Plate [set.blend]")."""
-    if obj.library is None or sum(each.name == obj.name for each in scene.objects) <= 1:
+    if obj.library is None:
         return str(obj.name)
-    return str(obj.name_full)
+    others = [each for each in _called(obj.name) if each != obj]
+    return str(obj.name_full if others and _within(others, scene.objects[:]) else obj.name)
 
 
-def object_in(scene: Any, name: str) -> Any:
-    """The object that name_in calls so, or None."""
-    found = scene.objects.get(name)
-    if found is not None and found.library is None:
-        return found
-    return named_objects(scene).get(name)
+def object_in(scene: Any, name: str, members: list[Any] | None = None) -> Any:
+    """The object that name_in calls so, or None. members: scene.objects[:], from whoever asks for several."""
+    found = [*_called(name), *_called_in_full(name)]
+    if not found:
+        return None
+    found = _within(found, scene.objects[:] if members is None else members)
+    own = [obj for obj in found if obj.name == name]
+    exact = [obj for obj in own if obj.library is None] or (own if len(own) == 1 else [])
+    return exact[0] if exact else next((obj for obj in found if name_in(scene, obj) == name), None)
 
 
 def named_objects(scene: Any) -> dict[str, Any]:
@@ -27,3 +33,54 @@ def named_objects(scene: Any) -> dict[str, Any]:
     objects = list(scene.objects)
     count = Counter(obj.name for obj in objects)
     return {obj.name if obj.library is None or count[obj.name] == 1 else obj.name_full: obj for obj in objects}
+
+
+class SceneNames:
+    """The same for many objects, within one call that changes nothing: all of the scene is gone through once, and not
+    before it must be."""
+
+    def __init__(self, scene: Any) -> None:
+        self._scene = scene
+
+    def of(self, obj: Any) -> str:
+        """See name_in."""
+        if obj.library is None or obj.session_uid not in self._by_number:
+            return name_in(self._scene, obj)
+        return self._by_number[obj.session_uid]
+
+    def object(self, name: str) -> Any:
+        """See object_in."""
+        return self._named.get(name)
+
+    @cached_property
+    def _named(self) -> dict[str, Any]:
+        return named_objects(self._scene)
+
+    @cached_property
+    def _by_number(self) -> dict[int, str]:
+        return {obj.session_uid: name for name, obj in self._named.items() if obj.library is not None}
+
+
+def _called(name: str) -> list[Any]:
+    """The file's objects of this name, its own and each library's. Blender finds one by name and library at once, while
+    a scene's own objects are gone through one by one."""
+    import bpy
+
+    files = (None, *dict.fromkeys(library.filepath for library in bpy.data.libraries))
+    return _present(bpy.data.objects.get((name, file)) for file in files)
+
+
+def _called_in_full(name: str) -> list[Any]:
+    """The file's linked objects of this full name."""
+    import bpy
+
+    ends = ((f" [{library.name}]", library.filepath) for library in bpy.data.libraries)
+    return _present(bpy.data.objects.get((name.removesuffix(end), file)) for end, file in ends if name.endswith(end))
+
+
+def _present(found: Iterable[Any]) -> list[Any]:
+    return [obj for obj in found if obj is not None]
+
+
+def _within(found: list[Any], members: list[Any]) -> list[Any]:
+    return [obj for obj in found if obj in members]

@@ -4,7 +4,7 @@ panels ask dozens of times a redraw and a timer 25 times a second, and a scene m
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Any
 
 HOLDS_S = 1.0
@@ -55,6 +55,25 @@ class Listed:
     def of(self, scene: Any) -> list[Any]:
         """In the order of the scene's objects."""
         return [obj for _, obj in self.numbered(scene)]
+
+
+class Remembered:
+    """Answers that cost a look through all of a scene's objects, by what was asked: numbers and names, no references.
+    Remembered while nobody changes anything, HOLDS_S at most."""
+
+    def __init__(self) -> None:
+        self._answers: dict[Hashable, Any] = {}
+        self._changes, self._since = -1, float("-inf")
+
+    def answer(self, asked: Hashable, find: Callable[[], Any]) -> Any:
+        if not NEWS.is_told:
+            return find()
+        if self._changes != NEWS.changes or time.monotonic() - self._since >= HOLDS_S:
+            self._answers.clear()
+            self._changes, self._since = NEWS.changes, time.monotonic()
+        if asked not in self._answers:
+            self._answers[asked] = find()
+        return self._answers[asked]
 
 
 def object_at(objects: Any, place: int) -> Any:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..bridge.scene_names import name_in
+from ..props.listed import Remembered
 from ..touch.status import StrokeStatus
 
 if TYPE_CHECKING:
@@ -54,6 +55,16 @@ class PlanView(NamedTuple):
     scene: str = ""
 
 
+NAMES = Remembered()
+
+
+def shown_name(scene: Any, obj: Any) -> str:
+    """See name_in: for panels, which ask it of every stroke in every redraw."""
+    if obj.library is None:
+        return str(obj.name)
+    return str(NAMES.answer((scene.session_uid, obj.session_uid), lambda: name_in(scene, obj)))
+
+
 class SessionState:
     """statuses: by the session_uid of the scene, see strokes_in.
     dirty: names of datablocks changed since their strokes were looked at.
@@ -85,7 +96,7 @@ class SessionState:
 
     def status_of(self, scene: Any, stroke: Any) -> StrokeStatus | None:
         """Of a stroke as it stands in a scene; None where nothing is known of it yet."""
-        return self.strokes_in(scene).get(name_in(scene, stroke))
+        return self.strokes_in(scene).get(shown_name(scene, stroke))
 
     def clear(self) -> None:
         """Forget everything: another file is open."""

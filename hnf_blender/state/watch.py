@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..bridge.scene_names import name_in, object_in
+from ..bridge.scene_names import SceneNames, object_in
 from ..touch.status import Freshness, StrokeStatus
 from ..translations import tr
 from .guard import own_changes
@@ -69,7 +69,8 @@ class Watch:
         if not names and stamp == self._stamp:
             return
         strokes = [obj for obj in scene.objects if obj.hnf_stroke.is_stroke]
-        named = [name_in(scene, obj) for obj in strokes]
+        calls = SceneNames(scene)
+        named = [calls.of(obj) for obj in strokes]
         statuses = STATE.strokes_in(scene)
         for name in statuses.keys() - set(named):
             del statuses[name]
@@ -77,21 +78,23 @@ class Watch:
             self._session, self._stamp = None, stamp
             self._pending.update(dict.fromkeys(named))
             return
-        surfaces = self._concerned_surfaces(scene, strokes, names)
+        touched = [_surface_of(calls, obj, statuses.get(name)) for name, obj in zip(named, strokes, strict=True)]
+        surfaces = self._concerned_surfaces(calls, touched, names)
         if self._session is not None:
             self._session.forget(surfaces)
-        for name, obj in zip(named, strokes, strict=True):
+        for name, obj, surface in zip(named, strokes, touched, strict=True):
             own = bool(parts_of(obj) & names)
-            if own or self._surface_of(scene, obj) in surfaces or obj.hnf_stroke.surface is None:
+            if own or surface in surfaces or obj.hnf_stroke.surface is None:
                 self._pending[name] = None
 
-    def _concerned_surfaces(self, scene: Any, strokes: list[Any], names: set[str]) -> set[str]:
-        """Names of surfaces that may look or feel different, where datablocks of these names changed."""
-        known = {self._surface_of(scene, obj) for obj in strokes}
+    def _concerned_surfaces(self, calls: SceneNames, touched: Iterable[str], names: set[str]) -> set[str]:
+        """Names of surfaces that may look or feel different, where datablocks of these names changed. touched: names of
+        those that strokes touch."""
+        known = set(touched)
         known |= set() if self._session is None else self._session.known
         if _has_unknown(names):
             return known
-        found = {name: object_in(scene, name) for name in known}
+        found = {name: calls.object(name) for name in known}
         return {name for name, obj in found.items() if obj is None or _concerns(obj, names)}
 
     def _quiet_changes(self, scene: Any) -> set[str]:
@@ -100,9 +103,10 @@ class Watch:
         import bpy
 
         changed = set()
+        members = scene.objects[:] if self._settings else []
         for name in list(self._settings)[:AT_A_TIME]:
             before = self._settings.pop(name)  # and to the end of the queue
-            obj = object_in(scene, name)
+            obj = object_in(scene, name, members)
             if obj is not None:
                 self._settings[name] = _settings(obj)
             if obj is None or self._settings[name] != before:
@@ -149,13 +153,6 @@ class Watch:
             self._session = scene_session(scene, view_layer, Path())
         self._session.scene, self._session.view_layer = scene, view_layer
         return self._session
-
-    def _surface_of(self, scene: Any, obj: Any) -> str:
-        chosen = obj.hnf_stroke.surface
-        if chosen is not None:
-            return name_in(scene, chosen)
-        known = STATE.status_of(scene, obj)
-        return "" if known is None else known.object_name
 
 
 _watches: dict[str, Watch] = {}
@@ -217,6 +214,14 @@ def _status(session: Session, obj: Any) -> StrokeStatus:
         traceback.print_exc()
         why = f"internal error ({error!r}). Please report it."
     return StrokeStatus(Freshness.BROKEN, why, object_name="" if surface is None else surface.name)
+
+
+def _surface_of(calls: SceneNames, obj: Any, known: StrokeStatus | None) -> str:
+    """Name of the surface of stroke obj; known: its status."""
+    chosen = obj.hnf_stroke.surface
+    if chosen is not None:
+        return calls.of(chosen)
+    return "" if known is None else known.object_name
 
 
 def _try_facts(session: Session, surface: Any) -> None:

@@ -7,11 +7,10 @@ from typing import Any
 
 import bpy
 
-from ..bridge.scene_names import name_in
 from ..ops.materials import felt_object, spoken
 from ..ops.outside_python import python_path
 from ..props.material import OWN_DEFINITION, OWN_NAME
-from ..state.session import STATE
+from ..state.session import STATE, shown_name
 from ..touch.status import StrokeStatus
 from ..translations import tr
 from .layout import TouchPanel, hint, named, paragraph, side_by_side
@@ -42,7 +41,7 @@ def every_status() -> Iterator[StrokeStatus]:
 
 def bakes_on(scene: Any, obj: Any) -> list[tuple[str, StrokeStatus]]:
     """A scene's strokes that are baked on an object, by name."""
-    object_name = name_in(scene, obj)
+    object_name = shown_name(scene, obj)
     return sorted(
         (name, status)
         for name, status in STATE.strokes_in(scene).items()

@@ -1,0 +1,148 @@
+"""Linked objects cost a panel and the timer no more than local ones: how often a scene's objects are gone through does
+not follow how many of them are linked. Passes are counted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import pytest
+from builders import add_plane
+from stroke_builders import LINE, add_stroke
+
+from hnf_blender.bridge.scene_names import name_in, named_objects, object_in
+from hnf_blender.props.listed import NEWS
+from hnf_blender.state import watch
+from hnf_blender.state.session import STATE, shown_name
+from hnf_blender.touch.status import Freshness, StrokeStatus
+
+FEW, MANY = 2, 12
+
+
+class CountedObjects:
+    """scene.objects; each look through all of them counts, in Python or by Blender."""
+
+    def __init__(self, objects) -> None:
+        self._objects, self.passes = objects, 0
+
+    def __iter__(self):
+        self.passes += 1
+        return iter(self._objects)
+
+    def __getitem__(self, key):
+        self.passes += 1
+        return self._objects[key]
+
+    def get(self, *words):
+        self.passes += 1
+        return self._objects.get(*words)
+
+    def find(self, name):
+        self.passes += 1
+        return self._objects.find(name)
+
+
+class CountedScene:
+    def __init__(self, scene) -> None:
+        self._scene, self.objects = scene, CountedObjects(scene.objects)
+
+    def __getattr__(self, name):
+        return getattr(self._scene, name)
+
+
+@pytest.fixture
+def told():
+    NEWS.is_told = True
+    yield
+    NEWS.is_told = False
+    NEWS.forget()
+
+
+def linked_strokes(tmp_path, count: int):
+    """Strokes on a plate, all of them linked from another file, and a local object of no matter."""
+    plate = add_plane("Plate", 0.1)
+    strokes = [add_stroke(LINE, name=f"Line {number}", surface=plate) for number in range(count)]
+    names = [plate.name, *(obj.name for obj in strokes)]
+    library = tmp_path / "set.blend"
+    bpy.data.libraries.write(str(library), {plate, *strokes})
+    for obj in (plate, *strokes):
+        bpy.data.objects.remove(obj)
+    with bpy.data.libraries.load(str(library), link=True) as (_, wanted):
+        wanted.objects = names
+    for obj in wanted.objects:
+        bpy.context.scene.collection.objects.link(obj)
+    bpy.context.view_layer.update()
+    return CountedScene(bpy.context.scene), wanted.objects[1:]
+
+
+def known(scene, strokes) -> None:
+    STATE.statuses[scene.session_uid] = {
+        obj.name: StrokeStatus(Freshness.FRESH, "", object_name="Plate") for obj in strokes
+    }
+
+
+def test_a_name_that_only_one_has_is_known_without_looking_through_the_scene(tmp_path) -> None:
+    scene, strokes = linked_strokes(tmp_path, FEW)
+    assert [name_in(scene, obj) for obj in strokes] == ["Line 0", "Line 1"]
+    assert object_in(scene, "") is object_in(scene, "Nobody") is object_in(scene, "Plate [set.blend]") is None
+    assert scene.objects.passes <= 1  # the plate's full name may be another object's own
+    assert [object_in(scene, obj.name) for obj in strokes] == list(strokes)
+    assert scene.objects.passes <= 1 + FEW
+
+
+def test_a_redraw_asks_each_namesake_once(tmp_path, told) -> None:
+    scene, strokes = linked_strokes(tmp_path, FEW)
+    add_stroke(LINE, name="Line 0")
+    assert [shown_name(scene, obj) for obj in strokes] == ["Line 0 [set.blend]", "Line 1"]
+    before = scene.objects.passes
+    for _ in range(5):
+        assert STATE.status_of(scene, strokes[0]) is None
+    assert scene.objects.passes == before
+    bpy.data.objects.remove(bpy.data.objects["Line 0", None])
+    NEWS.forget()  # as the handler does
+    assert shown_name(scene, strokes[0]) == "Line 0"
+
+
+def test_panels_look_through_no_scene_for_what_is_linked(tmp_path) -> None:
+    scene, strokes = linked_strokes(tmp_path, MANY)
+    known(scene, strokes)
+    assert all(STATE.status_of(scene, obj).freshness is Freshness.FRESH for obj in strokes)
+    assert scene.objects.passes == 0
+
+
+@pytest.mark.parametrize("changed", [(), ("Plate",)], ids=["nothing new", "a surface changed"])
+def test_the_timer_looks_through_a_scene_as_often_for_many_as_for_few(tmp_path, monkeypatch, changed) -> None:
+    passes = []
+    for count in (FEW, MANY):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        folder = tmp_path / str(count)
+        folder.mkdir()
+        scene, _ = linked_strokes(folder, count)
+        seen = watch.Watch(bpy.context.scene, bpy.context.view_layer)
+        while not seen.is_idle:
+            seen.look()
+        monkeypatch.setattr(watch, "_scene", lambda _, scene=scene: scene)
+        seen.expect(*changed)
+        assert seen.is_idle == (not changed)
+        monkeypatch.undo()
+        passes.append(scene.objects.passes)
+    assert passes[0] == passes[1] <= 4
+
+
+def test_names_are_those_of_a_look_through_all(tmp_path) -> None:
+    """Two of a name in two files, one of them also local; one that stands nowhere in the scene."""
+    scene, _ = linked_strokes(tmp_path, FEW)
+    copy = tmp_path / "other.blend"
+    copy.write_bytes(Path(tmp_path / "set.blend").read_bytes())
+    with bpy.data.libraries.load(str(copy), link=True) as (_, wanted):
+        wanted.objects = ["Line 0", "Line 1"]
+    bpy.context.scene.collection.objects.link(wanted.objects[0])
+    add_stroke(LINE, name="Line 0")
+    names = named_objects(scene)
+    assert sorted(names) == ["Line 0", "Line 0 [other.blend]", "Line 0 [set.blend]", "Line 1", "Plate"]
+    for name, obj in names.items():
+        assert (name_in(scene, obj), object_in(scene, name)) == (name, obj)
+    assert object_in(scene, "Line 1 [set.blend]") is None
+    bpy.data.objects.remove(bpy.data.objects["Line 0", None])
+    assert object_in(scene, "Line 0") is None
+    assert object_in(scene, "Line 0 [other.blend]") == wanted.objects[0]
