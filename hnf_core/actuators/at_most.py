@@ -10,8 +10,12 @@ def at_most(profile: ActuatorProfile, device: SinkFormat) -> str:
     """The largest acceleration that leaves for device with profile, in m/s², and whose limit that is."""
     limits = profile.limits
     within = limits.within(device.peak)
-    own = "the device's own limit, " if within.peak < limits.peak else ""
     strongest = f"at most {within.peak * within.full_scale_m_s2:.4g} m/s²"
+    assumed = "an assumption"
+    if within.peak < limits.peak:
+        strongest, assumed = f"{strongest}, the device's own limit", "its full scale an assumption"
     if profile.peak_m_s2 is None:
-        return f"{strongest}, an assumption: {own}'{profile.title}' does not state its largest acceleration"
-    return f"{strongest} ({own}{profile.title})"
+        return f"{strongest}, {assumed}: '{profile.title}' does not state its largest acceleration"
+    if profile.assumes_full_scale:
+        return f"{strongest}, {assumed} ({profile.title})"
+    return f"{strongest} ({profile.title})"

@@ -93,8 +93,9 @@ class Player:
         if isinstance(command, Stop | Quit):
             self.stop()
             return None
-        if isinstance(command, Play):
-            self._moved = None
+        if isinstance(command, Play | LiveBegin):
+            with self._lock:
+                self._moved = None  # where the hand was before is not where it touches now
         return command
 
     def do(self, command: Lasting, heard_at: int) -> None:
@@ -105,12 +106,9 @@ class Player:
                 self._play(command) if isinstance(command, Play) else self._live(command)
             except Overtaken:
                 self._say(Status.over(command.play))
-        elif isinstance(command, Pause):
-            self._now().stream.pause()
-        elif isinstance(command, Resume):
-            self._now().stream.resume()
         else:
-            self._change(command)
+            with suppress(Overtaken):
+                self._adjust(command)
 
     def stop(self) -> None:
         """Silence, and the device given back; what is about to begin does not."""
@@ -128,8 +126,17 @@ class Player:
             if self.playing is not None:
                 _feel(self.playing.source, command)
 
-    def _change(self, command: Seek | Loop | Gain | Swap) -> None:
+    def _adjust(self, command: Pause | Resume | Seek | Loop | Gain | Swap) -> None:
+        """Of what plays."""
         playing = self._now()
+        if isinstance(command, Pause):
+            playing.stream.pause()
+        elif isinstance(command, Resume):
+            playing.stream.resume()
+        else:
+            self._change(command, playing)
+
+    def _change(self, command: Seek | Loop | Gain | Swap, playing: Playing) -> None:
         source = playing.source
         if not isinstance(source, Recorded):
             raise UsageError(f"a live touch takes no {type(command).__name__}.")
@@ -226,7 +233,9 @@ class Player:
         self.playing = playing
 
     def _now(self) -> Playing:
-        """What plays, or did when the command was heard."""
+        """What plays, or did when the command was heard. Raises Overtaken where a stop came before it began."""
+        if self.playing is None:
+            self._still_wanted()
         if self.playing is None or (self.playing.ended and self.stops == self._heard_at):
             raise UsageError("nothing plays.")
         return self.playing

@@ -66,7 +66,8 @@ def scale_of(arguments: argparse.Namespace) -> tuple[float | None, tuple[float, 
     full_scale, range_hz = arguments.full_scale, None
     if arguments.profile is not None:
         profile = profile_at(arguments.profile)
-        full_scale, range_hz = profile.peak_m_s2, profile.range_hz
+        full_scale = None if profile.assumes_full_scale else profile.peak_m_s2
+        range_hz = profile.range_hz
     if arguments.range is not None:
         range_hz = (arguments.range[0], arguments.range[1])
     return full_scale, range_hz

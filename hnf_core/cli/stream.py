@@ -174,7 +174,7 @@ def _told(arguments: argparse.Namespace, profile: ActuatorProfile, found: Accele
     if report.device_limited_samples:
         print(
             f"hnf: the device itself cut {counted(report.device_limited_samples, 'sample')} short. "
-            "Play softer, or tell its true peak in its firmware.",
+            "Play softer, or correct the peak in its firmware.",
             file=sys.stderr,
         )
     if report.problem:

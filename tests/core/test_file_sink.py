@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 import wave
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from stream_builders import comes
 
 from hnf_core.actuators.chain import Chain, counts_of
 from hnf_core.actuators.limits import Limits
@@ -90,6 +90,9 @@ def test_a_file_is_there_when_it_is_whole_and_not_before(tmp_path: Path) -> None
         sink.write(np.ones((5, 1), np.int16))
     sink.open()
     sink.close()
+    assert len(stored(path)) == 5, "what was given up before it began takes nobody's place"
+    sink.open()
+    sink.finish(1.0)
     assert len(stored(path)) == 0
 
 
@@ -111,6 +114,7 @@ def test_what_cannot_be_written_is_told_and_harms_nothing(tmp_path: Path) -> Non
     assert "cannot write here" in sink.status().problem
     (tmp_path / "file").unlink()
     sink.open()
+    sink.write(np.ones((5, 1), np.int16))
     _taken_away(tmp_path / "file")
     sink.close()
     assert "cannot write here" in sink.status().problem
@@ -126,8 +130,7 @@ def test_a_stream_into_a_file_that_is_stopped_ends_softly(tmp_path: Path) -> Non
     samples = np.random.default_rng(3).normal(0.0, 6.0, (30_000, 1)).astype(np.float32)
     stream = Stream(Recorded(samples, 10_000.0, loop=True), FileSink(tmp_path / "x.wav", 10_000.0), LIMITS)
     device = stream.start()
-    while stream.report.frames < 1000:
-        time.sleep(0.001)
+    assert comes(lambda: stream.report.frames >= 1000)
     stream.stop()
     assert stream.report.problem == ""
     chain = Chain(Recorded(samples, 10_000.0, loop=True), device, LIMITS)

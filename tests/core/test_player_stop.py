@@ -176,23 +176,25 @@ def test_a_hand_is_felt_while_another_material_loads(monkeypatch: pytest.MonkeyP
 
 
 def test_a_hand_that_pressed_before_the_device_was_there_is_felt_then(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It may rest from then on, and send nothing more."""
-    moved: list[tuple[float, float]] = []
+    """It may rest from then on, and send nothing more. But it does not haunt what begins after a stop, or after a
+    recording, however late its last word comes."""
+    moved: list[tuple[Live, tuple[float, float]]] = []
     move = Live.move
-    monkeypatch.setattr(Live, "move", lambda self, *words: moved.append(words[1]) or move(self, *words))
+    monkeypatch.setattr(Live, "move", lambda self, *words: moved.append((self, words[1])) or move(self, *words))
     leave = threading.Event()
     sink = Slow(leave)
-    with rig(monkeypatch, sink, ClockSink(), ClockSink()) as it:
+    with rig(monkeypatch, sink, ClockSink(), ClockSink(), ClockSink()) as it:
         it.say(LiveBegin(1, "oak-wood", WHERE), Move(0.0, 0.1, 0.0, 1.0), Move(0.01, 0.2, 0.0, 1.0))
         assert sink.opening.wait(60.0)
         leave.set()
-        assert comes(lambda: moved == [(0.2, 0.0)])
-        # But it does not haunt what begins after a stop, or after a recording.
-        it.say(Stop(), LiveBegin(2, "oak-wood", WHERE))
+        assert comes(lambda: [each for _, each in moved] == [(0.2, 0.0)])
+        it.say(Stop(), Move(0.02, 0.3, 0.0, 8.0), LiveBegin(2, "oak-wood", WHERE))
         assert comes(lambda: it.began() == [1, 2])
         it.say(Play(3, "x.wav", WHERE))
         assert comes(lambda: it.began() == [1, 2, 3])
-    assert moved == [(0.2, 0.0)]
+        it.say(Move(0.03, 0.4, 0.0, 8.0), LiveBegin(4, "oak-wood", WHERE))
+        assert comes(lambda: it.began() == [1, 2, 3, 4])
+    assert {source for source, _ in moved} == {moved[0][0]}
 
 
 @pytest.mark.parametrize("quits", [True, False])

@@ -78,7 +78,7 @@ def test_it_says_what_will_happen_and_warns_of_what_is_too_loud(
     told = capsys.readouterr()
     first, second, last = told.out.splitlines()
     assert "2.00 s at 10000 Hz, in m/s²" in first
-    assert "gain 12 dB; at most 30 m/s² (Generic voice coil)" in second
+    assert "gain 12 dB; at most 30 m/s², an assumption (Generic voice coil)" in second
     assert re.search(
         r"2\.00 s played: \d+ blocks, .*ms, 0 underruns; peak \d+% of full scale, [1-9]\d* samples limited", last
     )
@@ -238,7 +238,7 @@ def test_a_device_s_own_peak_is_kept_and_told(noise: Path, capsys: pytest.Captur
         target = f"serial:{port.path}"
         assert hnf(noise, "--to", target, "--seconds", 0.3, "--gain", 12) == 0
         told = capsys.readouterr()
-        assert "at most 7.324 m/s² (the device's own limit, Generic voice coil)" in told.out
+        assert "at most 7.324 m/s², the device's own limit, its full scale an assumption (Generic" in told.out
         assert hnf(noise, "--to", target, "--seconds", 0.3, "--gain", 12, "--json") == 0
         report = json.loads(capsys.readouterr().out)
     assert report["peak"] == 8000 / 32767

@@ -35,7 +35,7 @@ class FileSink:
         self._path, self._rate, self._channels, self._full_scale = Path(path), int(rate_hz), channels, full_scale_m_s2
         self._written: list[bytes] = []
         self._frames = 0
-        self._open = False
+        self._open = self._begun = False
         self._problem = ""
 
     def open(self) -> SinkFormat:
@@ -45,7 +45,7 @@ class FileSink:
             check_writable(self._path)
         except HnfError as error:
             raise DeviceError(error.what, where=error.where, remedy=error.remedy) from error
-        self._written, self._frames, self._open, self._problem = [], 0, True, ""
+        self._written, self._frames, self._open, self._begun, self._problem = [], 0, True, False, ""
         queue = max(1, int(self._rate * QUEUE_S))
         return SinkFormat(float(self._rate), self._channels, queue, f"file {self._path}", coil=False, live=False)
 
@@ -58,6 +58,7 @@ class FileSink:
         data = np.ascontiguousarray(counts, dtype="<i2")
         if (self._frames + len(data)) * 2 * self._channels > _LARGEST:
             raise self._refused("a WAV holds 4 GB, and more has come", "Give --seconds.")
+        self._begun = True
         self._written.append(data.tobytes())
         self._frames += len(data)
 
@@ -66,6 +67,7 @@ class FileSink:
 
     def finish(self, timeout_s: float) -> None:
         """Raises DeviceError where the file cannot be written."""
+        self._begun = True
         try:
             self._save()
         except HnfError as error:
@@ -82,8 +84,9 @@ class FileSink:
             self._problem = str(error)
 
     def _save(self) -> None:
-        if self._open:
-            self._open = False
+        """Nothing where nothing began: what was given up before does not take the place of an earlier file."""
+        begun, self._open = self._open and self._begun, False
+        if begun:
             write_bytes(self._path, pcm_wav(b"".join(self._written), self._rate, self._channels, self._full_scale))
 
     def _refused(self, what: str, remedy: str) -> DeviceError:
