@@ -3,15 +3,15 @@ faster way begins. Measured here, and no way of the product."""
 
 from __future__ import annotations
 
-from unittest.mock import patch
-
 import numpy as np
 from numpy.typing import NDArray
 
-from ..field import synthesis as module
 from ..field.adaptive import Evaluate, Sampled
 from ..field.field import Field
+from ..field.noise_ahead import noise_ahead
 from ..field.stroke import StrokeInput
+from ..field.synthesis import prepare_within, rendered
+from ..field.timeline import states_of
 
 Float = NDArray[np.float64]
 
@@ -19,12 +19,15 @@ AT_ONCE = 512
 
 
 def at_every_sample(field: Field, stroke: StrokeInput, seed: int) -> Float:
-    """(count,) m/s². Past states are samples that were evaluated already; carriers are those of every other way."""
-    with patch.object(module, "sample_emission", _each):
-        return module.synthesised(field, stroke, seed, 0.0)[1]
+    """(count,) m/s², of what adapts(). Past states are samples that were evaluated already; carriers are those of every
+    other way, and drawn as early."""
+    action, token_index = states_of(stroke)
+    with noise_ahead(field.config, seed, action):
+        prepared = prepare_within(field, stroke, seed, action, token_index, 0.0, sample=_each)
+    return rendered(prepared)
 
 
-def _each(evaluate: Evaluate, count: int, tolerance: float, breakpoints: NDArray[np.int64] | None = None) -> Sampled:
+def _each(evaluate: Evaluate, count: int, _tolerance: float, _breakpoints: NDArray[np.int64]) -> Sampled:
     """As adaptive.sample_emission, and nothing is left out."""
     at = np.arange(count + 1)
     parts = [evaluate(at[start : start + AT_ONCE]) for start in range(0, len(at), AT_ONCE)]

@@ -64,6 +64,10 @@ class Sampled:
         return row, np.clip((sample - begin) / (self.at[row + 1] - begin), 0.0, 1.0)
 
 
+Sampler = Callable[[Evaluate, int, float, Samples], Sampled]
+"""As sample_emission: emissions, the samples of the stroke, the tolerance, the breakpoints → where it was evaluated."""
+
+
 def between(values: Float32, row: Samples, share: Float, factor: Float) -> Float32:
     """(n, K) Σ over terms of factor times what lies share of the way from a row of values (m, K) to the next; row,
     share, factor: (n, terms)."""

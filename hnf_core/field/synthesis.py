@@ -19,7 +19,7 @@ from ..kernel.library import kernel, one_blas_thread_in_numpy
 from ..material.contact import tip_response
 from ..material.probe import PROBES
 from ..signal import Signal
-from .adaptive import accumulated, sample_emission
+from .adaptive import Sampler, accumulated, sample_emission
 from .audible import BLOCK, audible_gain, blocks_of, heard_spans, is_heard
 from .breakpoints import breakpoints_of
 from .carriers import MODEL_RATE_HZ, Carriers
@@ -158,7 +158,7 @@ def prepare(
     """
     action, token_index = states_of(stroke)
     if tolerance is not None and adapts(field, stroke):
-        return _prepare_within(field, stroke, seed, action, token_index, tolerance, emission)
+        return prepare_within(field, stroke, seed, action, token_index, tolerance, emission)
     condition = condition_of(stroke, action, token_index)
     carriers, count = field.config.carriers, len(action.speed)
     bands = None
@@ -211,15 +211,17 @@ def adapts(field: Field, stroke: StrokeInput) -> bool:
     return field.config.accumulation == "past" and not shared
 
 
-def _prepare_within(
+def prepare_within(
     field: Field,
     stroke: StrokeInput,
     seed: int,
     action: Action,
     token_index: NDArray[np.int32],
     tolerance: float,
-    emission: Evaluate,
+    emission: Evaluate = evaluate,
+    sample: Sampler = sample_emission,
 ) -> Prepared:
+    """prepare() with a tolerance, of what adapts(). sample: chooses where F_Θ is evaluated."""
     carriers, config, count = field.config.carriers, field.config, sample_count(action)
     felt = _remembered(action.contact, memory(field))
 
@@ -234,7 +236,7 @@ def _prepare_within(
             alpha[rows], sigma_dt[rows] = found.alpha, found.sigma_dt
         return Emission(alpha, sigma_dt)
 
-    sampled = sample_emission(emit, count, tolerance, breakpoints_of(action, token_index))
+    sampled = sample(emit, count, tolerance, breakpoints_of(action, token_index))
     knots, amplitude = accumulated(field.config, sampled, count)
     if carriers.arc_count:
         pace, state = fastest(action), knots // SAMPLES_PER_STATE

@@ -10,12 +10,13 @@ from test_synthesis import FOAM, WOOD, linear_field, make_action, rough_token, s
 
 from hnf_core.action.primitive_path import primitive_action
 from hnf_core.action.primitives import PRIMITIVES
+from hnf_core.bench.synth_sampled import at_every_sample
 from hnf_core.field import adaptive
 from hnf_core.field.adaptive import COARSEST, FINEST, MOST, between, sample_emission
 from hnf_core.field.field import Emission, evaluate
 from hnf_core.field.reference import synthesise_reference
 from hnf_core.field.stroke import HeightProfile, uniform_stroke
-from hnf_core.field.synthesis import prepare, render_block, synthesise, texture_term
+from hnf_core.field.synthesis import prepare, prepare_within, render_block, rendered, synthesise, texture_term
 from hnf_core.field.timeline import condition_at, sample_count, states_of
 from hnf_core.field.weights import load_field
 from hnf_core.material.library import find
@@ -212,6 +213,22 @@ def test_nothing_short_hides_between_two_evaluations(kind, starts, length):
     few, all_ = (prepare(linear_field(), stroke, seed=1, tolerance=each) for each in (0.03, 0.0))
     one, two = (texture_term(each, 0, each.count) for each in (few, all_))
     assert np.sqrt(np.mean(np.square(one - two))) < 0.03 * np.sqrt(np.mean(np.square(two)))
+
+
+def test_where_the_field_is_evaluated_can_be_told():
+    """The bench's literal model asks at every sample so; what it hears is what a fine tolerance gives."""
+    stroke, asked = uniform_stroke(steady(0.5), rough_token(), WOOD), []
+
+    def finest(emission, count, tolerance, breakpoints):
+        asked.append((count, tolerance))
+        return sample_emission(emission, count, 0.0, breakpoints)
+
+    action, token_index = states_of(stroke)
+    told = prepare_within(linear_field(), stroke, 1, action, token_index, 0.03, sample=finest)
+    assert asked == [(sample_count(action), 0.03)]
+    assert np.array_equal(told.knots, prepare(linear_field(), stroke, seed=1, tolerance=0.0).knots)
+    every, fine = at_every_sample(linear_field(), stroke, 1), rendered(told)
+    assert np.sqrt(np.mean(np.square(every - fine))) < 0.02 * np.sqrt(np.mean(np.square(fine)))
 
 
 def test_a_steady_stroke_needs_few_states_and_sounds_the_same():
