@@ -125,13 +125,16 @@ def rendered_table(loss: Loss) -> str:
 
 
 def earlier_loss(loss: Mapping[str, Any], where: str) -> tuple[str, ...]:
-    """Lines on what an export lost, from its Loss.to_json in the file called where."""
+    """Lines on what an export changed, from its Loss.to_json in the file called where. Its sentences follow as they
+    are: not each of them is of a loss, as the one that states a gain."""
     if loss["exact"]:
         return (f"Its export, as {where} says, kept every sample.",)
     before, after = loss["before"], loss["after"]
-    level, peak = (_ratio(float(before[name]), float(after[name])) for name in ("rms", "peak"))
-    changed = f"changed the level by {level} and the peak by {peak}. It " if level and peak else ""
-    return (f"Its export, as {where} says, {changed}left out:", *loss["dropped"])
+    ratios = {word: _ratio(float(before[key]), float(after[key])) for word, key in (("level", "rms"), ("peak", "peak"))}
+    changed = [f"the {word} by {ratio}" for word, ratio in ratios.items() if ratio not in ("", _change(0.0))]
+    if not changed:
+        return (f"Of its export, {where} says:", *loss["dropped"])
+    return (f"Its export, as {where} says, changed {' and '.join(changed)}. It says:", *loss["dropped"])
 
 
 def levels_table(facts: Facts, bands: tuple[Band, ...]) -> str:

@@ -13,6 +13,7 @@ from test_export_cli import hnf
 
 from hnf_core.export.convert import import_signal
 from hnf_core.export.formats import FORMATS
+from hnf_core.export.loss import earlier_loss
 from hnf_core.export.options import ImportOptions
 from hnf_core.export.wav import write_wav
 from hnf_core.signal import Signal
@@ -99,11 +100,40 @@ def test_what_the_export_lost_is_told_where_its_sidecar_still_fits(
     lines = capsys.readouterr().out.splitlines()
     peak = 20.0 * np.log10(lost["after"]["peak"] / lost["before"]["peak"])
     (told,) = (line for line in lines if "x.haptic.json" in line)
-    assert told.endswith(f"the peak by {peak:+.1f} dB. It left out:")
+    assert told.endswith(f"the peak by {peak:+.1f} dB. It says:")
     assert lines[lines.index(told) + 1] == f"- {lost['dropped'][0]}"
     out.write_text(out.read_text("utf-8") + "\n", "utf-8")
     assert hnf(*words, "--json") == 0
     assert json.loads(capsys.readouterr().out)["export_loss"] is None
+
+
+def test_a_gain_is_no_loss_and_what_stayed_is_no_change(
+    tmp_path: Path, wav: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "x.wav"
+    assert hnf("export", wav, "--format", "listen", "--out", out) == 0
+    capsys.readouterr()
+    assert hnf("import", out, "--out", tmp_path / "y.wav") == 0
+    lines = capsys.readouterr().out.splitlines()
+    at = lines.index("- Of its export, x.wav.json says:")
+    assert lines[at + 1].startswith("- One gain for the whole file")
+
+
+@pytest.mark.parametrize(
+    ("rms", "peak", "words"),
+    [
+        (0.5, 0.5, "changed the level by -6.0 dB and the peak by -6.0 dB. It says:"),
+        (1.001, 0.5, "changed the peak by -6.0 dB. It says:"),
+        (0.5, 0.999, "changed the level by -6.0 dB. It says:"),
+        (1.001, 0.999, "Of its export, x.json says:"),
+        (0.0, 0.0, "Of its export, x.json says:"),
+    ],
+)
+def test_only_what_changed_is_told_as_changed(rms: float, peak: float, words: str) -> None:
+    levels = {"before": {"rms": 1.0, "peak": 1.0}, "after": {"rms": rms, "peak": peak}}
+    head, *rest = earlier_loss({"exact": False, **levels, "dropped": ["Its seed."]}, "x.json")
+    assert head.endswith(words)
+    assert rest == ["Its seed."]
 
 
 @pytest.mark.parametrize("loss", [3, {}, {"exact": 1}, {"exact": False, "before": {"rms": "x"}}, {"exact": False}])
