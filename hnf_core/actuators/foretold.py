@@ -29,15 +29,18 @@ class Foretold:
     fits_db: float | None
 
 
-def foretell(chained: Chained, limits: Limits, gain_db: float) -> Foretold | None:
-    """Of what plays with gain_db within limits; None where it fits. Raises what the chain raises."""
+def foretell(chained: Chained, limits: Limits, gain_db: float, guess_db: float) -> Foretold | None:
+    """Of what plays with gain_db within limits; None where it fits. guess_db: a gain that may just fit and is tried
+    first, since most that is too strong is so at its peak alone. Raises what the chain raises."""
     share = _share(chained(limits, gain_db))
     if share == 0.0:
         return None
     cold = replace(limits, sustained=1.0)
     peak = _share(chained(replace(cold, slew_per_s=math.inf), gain_db))
     steep = _share(chained(cold, gain_db))
-    return Foretold(share, peak, max(steep - peak, 0.0), max(share - steep, 0.0), _fits(chained, limits, gain_db))
+    return Foretold(
+        share, peak, max(steep - peak, 0.0), max(share - steep, 0.0), _fits(chained, limits, gain_db, guess_db)
+    )
 
 
 def _share(chain: Chain) -> float:
@@ -47,14 +50,17 @@ def _share(chain: Chain) -> float:
     return _changed(chain) / max(frames * chain.channels, 1)
 
 
-def _fits(chained: Chained, limits: Limits, gain_db: float) -> float | None:
-    """By halves: of what it gives, nothing is limited, for that was tried."""
-    low, high = round(LOWEST_DB * STEPS_PER_DB), math.ceil(gain_db * STEPS_PER_DB)
-    if low >= high or not _passes(chained(limits, low / STEPS_PER_DB)):
-        return None
+def _fits(chained: Chained, limits: Limits, gain_db: float, guess_db: float) -> float | None:
+    """The guess and its neighbour, then halves: of what it gives, nothing is limited, for that was tried."""
+    lowest, high = round(LOWEST_DB * STEPS_PER_DB), math.ceil(gain_db * STEPS_PER_DB)
+    low, guess = lowest, math.floor(max(guess_db, LOWEST_DB) * STEPS_PER_DB)
+    first = [guess, guess + 1]
     while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if _passes(chained(limits, middle / STEPS_PER_DB)) else (low, middle)
+        middle = first.pop(0) if first else (low + high) // 2
+        if low < middle < high:
+            low, high = (middle, high) if _passes(chained(limits, middle / STEPS_PER_DB)) else (low, middle)
+    if low == lowest and (low >= high or not _passes(chained(limits, low / STEPS_PER_DB))):
+        return None
     return low / STEPS_PER_DB
 
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..actuators.profile import PROFILES
+from ..actuators.profile import GENERIC, PROFILES
 from ..actuators.profile_file import profile_at
 from ..errors import UsageError
 from ..export.convert import export_signal
@@ -124,6 +124,6 @@ def run(arguments: argparse.Namespace, read_scene: SceneReader = no_scene) -> in
 
 def _assumption(profile: str | None) -> str:
     """Why full scale is the default, and what to do about it."""
-    if profile is None:
-        return "the generic voice coil's: --profile or --full-scale say otherwise."
+    if profile in (None, GENERIC.name):
+        return "an assumption, the generic voice coil's: another --profile or --full-scale say otherwise."
     return f"an assumption: '{profile}' does not state its largest acceleration. If you know it, give --full-scale."

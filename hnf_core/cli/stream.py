@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import signal
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -33,7 +35,7 @@ from ..actuators.targets import FORMS, FileTarget, Target, parse_target, sink_of
 from ..errors import DeviceError, UsageError
 from .counted import counted
 from .level_meter import LevelMeter
-from .stream_warning import checked_s, warning_of
+from .stream_warning import CHECKED_S, checked_s, strongest_of, warning_of
 from .verbs import HELP
 
 AHEAD_BLOCKS = 3
@@ -139,17 +141,22 @@ def _names(arguments: argparse.Namespace) -> str:
 def _warn(arguments: argparse.Namespace, found: Acceleration, profile: ActuatorProfile, device: SinkFormat) -> None:
     """Beforehand, so that nobody wonders; the limiter counts what it really changed."""
     limits, loop = profile.limits, arguments.loop
-    seconds = checked_s(found.duration_s, arguments.seconds, loop=loop, thermal_s=limits.thermal_s)
+    plays_s = found.duration_s if arguments.seconds is None or loop else min(arguments.seconds, found.duration_s)
+    played = replace(found, samples=found.samples[: max(round(plays_s * found.rate_hz), 1)])
+    seen = strongest_of(played, CHECKED_S)
+    seconds = checked_s(seen.duration_s, arguments.seconds, loop=loop, thermal_s=limits.thermal_s)
 
     def chained(limits: Limits, gain_db: float) -> Chain:
-        source, _ = _source(found, factor(gain_db), loop, seconds)
+        source, _ = _source(seen, factor(gain_db), loop, seconds)
         stages = () if arguments.raw else stages_of(profile, found.rate_hz, source.channels)
         return Chain(source, device, limits, stages, prompt=False)
 
-    foretold = foretell(chained, limits, arguments.gain)
+    most = limits.within(device.peak).peak * limits.full_scale_m_s2
+    guess_db = 20.0 * math.log10(most / seen.peak_m_s2) if seen.peak_m_s2 > 0.0 else 0.0
+    foretold = foretell(chained, limits, arguments.gain, guess_db)
     if foretold is not None:
-        largest = found.peak_m_s2 * factor(arguments.gain)
-        print(f"hnf: {warning_of(foretold, profile, device, largest)}", file=sys.stderr)
+        largest, in_part = seen.peak_m_s2 * factor(arguments.gain), seen is not played
+        print(f"hnf: {warning_of(foretold, profile, device, largest, in_part=in_part)}", file=sys.stderr)
 
 
 def _watch(stream: Stream, meter: LevelMeter) -> None:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
+
+from ..actuators.acceleration import Acceleration
 from ..actuators.foretold import Foretold
 from ..actuators.profile import ActuatorProfile
 from ..actuators.sink import SinkFormat
 
-CHECKED_S = 600.0
-"""So much of a long signal is looked at beforehand."""
+CHECKED_S = 120.0
+"""So much of a long signal is looked at beforehand, about its strongest place: somebody waits meanwhile."""
 WARM = 6.0
 """Time constants after which a coil is as warm as it gets."""
 
@@ -18,8 +23,20 @@ def checked_s(whole_s: float, seconds: float | None, *, loop: bool, thermal_s: f
     return min(plays_s if seconds is None else seconds if loop else min(seconds, whole_s), CHECKED_S)
 
 
-def warning_of(found: Foretold, profile: ActuatorProfile, device: SinkFormat, largest_m_s2: float) -> str:
-    """One line. largest_m_s2: of the signal, its gain included."""
+def strongest_of(found: Acceleration, seconds: float) -> Acceleration:
+    """So much of it, its largest sample in the middle; all of what is no longer."""
+    count = round(seconds * found.rate_hz)
+    if count >= len(found.samples):
+        return found
+    loudest = int(np.abs(found.samples).max(axis=1).argmax())
+    start = min(max(loudest - count // 2, 0), len(found.samples) - count)
+    return replace(found, samples=found.samples[start : start + count])
+
+
+def warning_of(
+    found: Foretold, profile: ActuatorProfile, device: SinkFormat, largest_m_s2: float, *, in_part: bool
+) -> str:
+    """One line. largest_m_s2: of the signal, its gain included. in_part: only strongest_of it was looked at."""
     limits = profile.limits.within(device.peak)
     most = limits.peak * limits.full_scale_m_s2
     reasons = []
@@ -37,4 +54,5 @@ def warning_of(found: Foretold, profile: ActuatorProfile, device: SinkFormat, la
     fits = "No --gain makes it fit: check the file's unit."
     if found.fits_db is not None:
         fits = f"--gain {found.fits_db:.1f} fits."
-    return f"{', and '.join(reasons)}: {share} of the samples are limited. {fits}"
+    where = f" about its strongest place ({CHECKED_S:.0f} s)" if in_part else ""
+    return f"{', and '.join(reasons)}: {share} of the samples{where} are limited. {fits}"

@@ -14,7 +14,7 @@ from responses import of_gains
 from hnf_core.actuators.profile import GENERIC, own_profile
 from hnf_core.actuators.profile_file import write_profile
 from hnf_core.cli.main import main
-from hnf_core.cli.stream_warning import checked_s
+from hnf_core.cli.stream_warning import CHECKED_S, checked_s
 from hnf_core.export.wav import write_wav
 from hnf_core.signal import Signal
 
@@ -81,7 +81,22 @@ def test_a_loop_without_an_end_is_looked_at_until_its_coil_is_warm() -> None:
     assert checked_s(1.0, None, loop=True, thermal_s=10.0) >= 50.0
     assert checked_s(1.0, 3.0, loop=True, thermal_s=10.0) == 3.0
     assert checked_s(1.0, 3.0, loop=False, thermal_s=10.0) == 1.0
-    assert checked_s(1e6, None, loop=False, thermal_s=10.0) == checked_s(1e6, None, loop=True, thermal_s=10.0) == 600.0
+    assert {checked_s(1e6, None, loop=loop, thermal_s=10.0) for loop in (False, True)} == {CHECKED_S}
+
+
+def test_of_a_long_signal_the_strongest_place_is_looked_at(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Wherever it is, and the gain that fits there fits all of it."""
+    monkeypatch.setattr("hnf_core.cli.stream.CHECKED_S", 0.5)
+    time = np.arange(3 * RATE) / RATE
+    envelope = np.where((time > 2.4) & (time < 2.5), 60.0, 5.0)
+    write_wav(tmp_path / "x.wav", Signal((envelope * np.sin(2e3 * time)).astype(np.float32), float(RATE), 0))
+    words = [tmp_path / "x.wav", "--to", f"file:{tmp_path / 'out.wav'}"]
+    said = played(capsys, *words)[2]
+    warning = re.search(r"60 m/s² is more.* about its strongest place .*--gain (-?[\d.]+) fits\.", said)
+    assert warning is not None
+    assert played(capsys, *words, "--gain", warning[1])[::2] == (0, "")
 
 
 def test_what_fits_is_not_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
