@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..tactile.tactile_map import TactileMap
 from ..units import m_to_mm
 from .figure import write_figure
+from .rows import wrapped
 from .srgb import linear_to_srgb
 from .tracks import INK, QUIET
 
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SIZE_PX = (640, 800)
+MOST_ROWS = 7
+"""Of text below the map: down to the lower edge."""
 SPREAD = 0.2
 """How far the strongest percent of a map's pixels is drawn from its mean: its own contrast is that of a gel."""
 BAR_SHARE = 0.4
@@ -43,7 +46,8 @@ def stretched(tactile: TactileMap) -> NDArray[np.float64]:
 
 def map_picture(path: Path, tactile: TactileMap, title: str, facts: Sequence[str] = ()) -> None:
     """Draw a tactile map into a PNG of 640 × 800 pixels, atomically: enlarged, with a scale bar [mm], and below it what
-    sensor and light it is, how far its contrast is raised, and facts, a paragraph each.
+    sensor and light it is, how far its contrast is raised, and facts, a paragraph each, fewer than MOST_ROWS. What has
+    no room is cut short, with a mark.
 
     Equal input gives equal bytes with one version of matplotlib. Raises FileError where matplotlib is missing or the
     file cannot be written.
@@ -54,9 +58,8 @@ def map_picture(path: Path, tactile: TactileMap, title: str, facts: Sequence[str
             0.05, 0.965, textwrap.shorten(title, 52, placeholder=" …"), fontsize=14, fontweight="bold", va="top"
         )
         _draw_map(figure, tactile)
-        said = (_what(tactile), *facts)
-        rows = [row for text in said for row in textwrap.wrap(text, 82)][:7]
-        for number, row in enumerate(rows):
+        said = [("", text) for text in (_what(tactile), *facts)]
+        for number, (_, row) in enumerate(wrapped(said, 82, MOST_ROWS)):
             figure.text(0.05, 0.165 - 0.024 * number, row, fontsize=9.5, color=QUIET, va="top")
 
     write_figure(path, SIZE_PX, draw)

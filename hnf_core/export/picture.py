@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -15,6 +14,7 @@ from ..tactile.tactile_map import TactileMap
 from .figure import write_figure
 from .map_picture import stretched
 from .path_on_view import StrokeView, draw_path
+from .rows import wrapped
 from .srgb import linear_to_srgb
 from .tracks import QUIET, TRACKS_BOTTOM, draw_spectrum, draw_tracks
 
@@ -73,19 +73,6 @@ def _short(text: str, most: int) -> str:
     return text if len(text) <= most else text[: most - 1] + "…"
 
 
-def _wrapped(lines: list[tuple[str, str]], letters: int, most: int) -> list[tuple[str, str]]:
-    """(label, row) of each line, cut short only where together they are more than `most` rows; the longest first."""
-    for each in range(most, 0, -1):
-        rows = [
-            (label, row)
-            for label, text in lines
-            for row in textwrap.wrap(text, letters, max_lines=each, placeholder=" …") or [""]
-        ]
-        if len(rows) <= most:
-            break
-    return rows
-
-
 def _draw_view(
     figure: Figure, view: StrokeView | None, tactile: TactileMap | None, lines: list[tuple[str, str]]
 ) -> float:
@@ -93,7 +80,7 @@ def _draw_view(
     they end."""
     left, top, width, line = LEFT, 0.915, 0.475, 0.025
     letters = 82 if tactile is None else 56
-    rows = _wrapped(lines, letters, MOST_ROWS)
+    rows = wrapped(lines, letters, MOST_ROWS)
     below = max(line * len(rows), 0.0 if tactile is None else MAP_SIDE * SIZE_PX[0] / SIZE_PX[1] + 2 * line)
     bottom = top
     if view is not None:

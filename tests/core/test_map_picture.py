@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from hnf_core.export import map_picture as module
 from hnf_core.export.map_picture import bar_mm, gain_of, map_picture, stretched
 from hnf_core.export.tracks import INK
 from hnf_core.tactile.tactile_map import Route, TactileMap
@@ -65,6 +67,33 @@ def test_what_is_not_seen_is_even() -> None:
 def test_names_are_no_markup_and_any_mask_gives_a_picture(tmp_path: Path) -> None:
     nothing = grooves(0.02, np.zeros((128, 128), bool))
     drawn(tmp_path / "a.png", nothing, title="$\\frac{" + "x" * 200, facts=("y " * 400, "$^$"))
+
+
+def words_of(monkeypatch: pytest.MonkeyPatch, *facts: str) -> list[str]:
+    """The rows below the map."""
+    from matplotlib.figure import Figure
+
+    said: list[str] = []
+
+    def drawn(path: Path, size_px: tuple[int, int], draw: Callable[[Figure], None]) -> None:
+        figure = Figure(figsize=(size_px[0] / 100, size_px[1] / 100), dpi=100)
+        draw(figure)
+        said.extend(text.get_text() for text in figure.texts[1:])
+
+    monkeypatch.setattr(module, "write_figure", drawn)
+    map_picture(Path("a.png"), grooves(0.02), "Probe A", facts)
+    return said
+
+
+def test_what_is_cut_is_marked_and_every_paragraph_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    source, material = "Relief from: " + " and ".join(f"word{number}" for number in range(80)), "Bark → oak; 3 µm RMS."
+    rows = words_of(monkeypatch, source, material)
+    assert len(rows) == 7
+    assert [row.endswith(" …") for row in rows] == [False] * 5 + [True, False]
+    assert rows[-1] == material
+    assert source.startswith(" ".join(rows[2:-1]).removesuffix(" …"))
+    short = words_of(monkeypatch, source[:200], material)
+    assert " ".join(short).endswith(f"{source[:200]} {material}")
 
 
 def test_equal_maps_give_equal_bytes(tmp_path: Path) -> None:

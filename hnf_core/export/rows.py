@@ -1,0 +1,18 @@
+"""Text of a picture, in rows: cut where there is no room, with a mark."""
+
+from __future__ import annotations
+
+import textwrap
+
+
+def wrapped(lines: list[tuple[str, str]], letters: int, most: int) -> list[tuple[str, str]]:
+    """(label, row) of each line, cut short only where together they are more than `most` rows; the longest first."""
+    for each in range(most, 0, -1):
+        rows = [
+            (label, row)
+            for label, text in lines
+            for row in textwrap.wrap(text, letters, max_lines=each, placeholder=" …") or [""]
+        ]
+        if len(rows) <= most:
+            break
+    return rows
