@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +26,16 @@ NOT_SEEN = "estimated from the likely materials, not seen"
 
 def write_probe(folder: Path, probed: Probed) -> dict[str, Any]:
     """The tactile map as PNG and as numbers (.npz), each atomically; returns the probe's entry for the report, as
-    docs/probe.md says it."""
+    docs/probe.md says it. A picture of the same numbers and words is left as it is."""
     tactile = probed.tactile
     files: dict[str, Any] | None = None
     if tactile is not None:
-        stem = file_stem(f"probe {probed.name}")
-        map_picture(folder / f"{stem}.png", tactile, f"Probe {probed.name}", _said(probed, tactile))
-        write_bytes(folder / f"{stem}.npz", numbers_of(tactile))
+        stem, said = file_stem(f"probe {probed.name}"), (f"Probe {probed.name}", *_said(probed, tactile))
+        picture, numbers = folder / f"{stem}.png", folder / f"{stem}.npz"
+        data = numbers_of(tactile, said)
+        if not (picture.is_file() and numbers.is_file() and numbers.read_bytes() == data):
+            map_picture(picture, tactile, said[0], said[1:])
+            write_bytes(numbers, data)
         files = {"picture": f"{stem}.png", "numbers": f"{stem}.npz"}
     return entry_of(probed, files)
 
@@ -64,9 +68,15 @@ def entry_of(probed: Probed, files: dict[str, Any] | None) -> dict[str, Any]:
     }
 
 
-def numbers_of(tactile: TactileMap) -> bytes:
-    """numpy's .npz: image (H, W, 3) linear, height (H, W) metres where it is known, mask, metres_per_pixel."""
-    arrays = {"image": tactile.image, "mask": tactile.mask, "metres_per_pixel": np.array(tactile.metres_per_pixel)}
+def numbers_of(tactile: TactileMap, said: Sequence[str]) -> bytes:
+    """numpy's .npz: image (H, W, 3) linear, height (H, W) metres where it is known, mask, metres_per_pixel, and said:
+    title and facts of the picture."""
+    arrays = {
+        "image": tactile.image,
+        "mask": tactile.mask,
+        "metres_per_pixel": np.array(tactile.metres_per_pixel),
+        "said": np.array(said),
+    }
     if tactile.height is not None:
         arrays["height_m"] = tactile.height
     packed = io.BytesIO()

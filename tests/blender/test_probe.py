@@ -203,13 +203,19 @@ def test_a_second_look_costs_nothing_and_the_plan_says_so(tmp_path, capsys) -> N
     touch(scene, out, *words, "--plan", "--json")
     assert json.loads(capsys.readouterr().out)["probes"][0]["close_ups"] == 1
     _, first = touch(scene, out, *words)
-    picture = (out / first["probes"][0]["tactile_map"]["picture"]).read_bytes()
+    path = out / first["probes"][0]["tactile_map"]["picture"]
+    picture, drawn_ns = path.read_bytes(), path.stat().st_mtime_ns
     touch(scene, out, *words, "--plan")
     assert "nothing to render" in capsys.readouterr().out
     _, second = touch(scene, out, *words)
     assert second["counts"]["renders"] == 0
     assert second["probes"] == first["probes"]
-    assert (out / second["probes"][0]["tactile_map"]["picture"]).read_bytes() == picture
+    assert path.stat().st_mtime_ns == drawn_ns, "nothing is drawn again"
+    path.unlink()
+    touch(scene, out, *words)
+    assert path.read_bytes() == picture
+    touch(scene, out, *words, "--material", f"{PLATE}=granite")
+    assert path.read_bytes() != picture, "it says what it is"
 
 
 def test_a_chosen_material_is_what_friction_is_told_of(tmp_path) -> None:
