@@ -36,11 +36,11 @@ def scene(tmp_path, monkeypatch):
 
 
 def words(monkeypatch) -> str:
-    """What both panels say while every look at a file fails."""
+    """What both panels say while every look at a file fails; where its lines break is the sidebar's affair."""
     with monkeypatch.context() as patch:
         for module, name in ((os, "stat"), (profile_file, "_read"), (profile_file, "_changed")):
             patch.setattr(module, name, lambda *_args, **_named: pytest.fail("a panel asked the disk"))
-        return f"{drawn(HNF_PT_actuator).words}\n{drawn(HNF_PT_export).words}"
+        return " ".join(f"{drawn(HNF_PT_actuator).words} {drawn(HNF_PT_export).words}".split())
 
 
 def test_a_panel_shows_what_a_timer_read(scene, monkeypatch) -> None:
