@@ -1,4 +1,4 @@
-"""Compiled: where a course bends (its twin in numpy is in field/turns.py)."""
+"""Compiled: where a course bends (its twin in numpy is in field/breakpoints.py)."""
 
 from __future__ import annotations
 
