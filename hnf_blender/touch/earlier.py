@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from hnf_core.files import content_hash
@@ -24,14 +25,22 @@ class Earlier:
     left_over: tuple[str, ...] = ()
 
     def fresh(self, jobs: Iterable[Job], folder: Path | None) -> dict[str, StrokeReport]:
-        """Name of a job → the entry of an equal stroke whose signal is there, byte for byte as it was written. Of
-        several equal ones a job gets that of its own name. folder: None = there is none."""
+        """Name of a job → the entry of an equal stroke whose signal is there, byte for byte as it was written. A job
+        gets that of its own name, else one that no other takes, as after a rename: each file is one stroke's alone, or
+        the picture of one would be drawn over the other's. folder: None = there is none."""
         if folder is None:
             return {}
-        by_key = {stroke.key: stroke for stroke in self.strokes}
-        named = {(stroke.key, stroke.name): stroke for stroke in self.strokes}
-        known = {job.name: named.get((job.key, job.name), by_key.get(job.key)) for job in jobs}
-        return {name: entry for name, entry in known.items() if entry is not None and _is_there(entry, folder)}
+        jobs, there = list(jobs), [each for each in _apart(self.strokes) if _is_there(each, folder)]
+        named = {(entry.key, entry.name): entry for entry in there}
+        fresh = {job.name: named[job.key, job.name] for job in jobs if (job.key, job.name) in named}
+        owned = {entry.name for entry in fresh.values()}
+        free = [entry for entry in there if entry.name not in owned]
+        for job in jobs:
+            entry = next((each for each in free if each.key == job.key), None)
+            if job.name not in fresh and entry is not None:
+                fresh[job.name] = entry
+                free.remove(entry)
+        return fresh
 
     def has_name(self, name: str) -> bool:
         return any(stroke.name == name for stroke in self.strokes)
@@ -67,12 +76,24 @@ def left_over(
     this run. awaited: names of strokes that it has not made yet, or cannot: theirs are not given up."""
     if earlier.scene != scene:
         return []
-    now = list(strokes)
-    keys, owned = {stroke.key for stroke in now}, {name for stroke in now for name in _files(stroke)}
-    gone = [each for each in earlier.strokes if each.key not in keys and each.name not in awaited]
+    owned = {name for stroke in strokes for name in _files(stroke)}
+    gone = [each for each in earlier.strokes if each.name not in awaited]
     named = {*earlier.left_over, *(name for stroke in gone for name in _files(stroke))}
     kept = {name for stroke in earlier.strokes if stroke.name in awaited for name in _files(stroke)}
     return sorted(name for name in named - owned - kept if Path(name).name == name and (folder / name).is_file())
+
+
+def _apart(strokes: Iterable[StrokeReport]) -> list[StrokeReport]:
+    """One entry for each WAV: older versions let equal strokes share one and draw their pictures over each other. The
+    first keeps the files, and its picture is drawn anew."""
+    entries = list(strokes)
+    count = Counter(entry.wav for entry in entries)
+    first = {entry.wav: entry for entry in reversed(entries)}
+    return [
+        replace(entry, picture_key="") if count[entry.wav] > 1 else entry
+        for entry in entries
+        if first[entry.wav] is entry
+    ]
 
 
 def _files(stroke: StrokeReport) -> tuple[str, str]:

@@ -198,6 +198,67 @@ def test_equal_strokes_keep_a_file_each(scene, tmp_path) -> None:
     assert [stroke["wav"] for stroke in second["strokes"]] == [stroke["wav"] for stroke in first["strokes"]]
 
 
+def duplicate(name: str = "Copy"):
+    """Equal but for its name: not even the hash of what it follows from tells it from Along."""
+    twin = bpy.data.objects["Along"].copy()
+    twin.name = name
+    bpy.context.scene.collection.objects.link(twin)
+
+
+def files_of(report) -> dict[str, tuple[str, str]]:
+    return {stroke["name"]: (stroke["wav"], stroke["picture"]) for stroke in report["strokes"]}
+
+
+def test_a_duplicate_gets_its_own_files_and_leaves_the_others_alone(scene, tmp_path) -> None:
+    out = tmp_path / "out"
+    _, first = touch(scene, out)
+    before = pictures(out, first)
+    changed(scene, duplicate)
+    _, second = touch(scene, out)
+    assert files_of(second) == files_of(first) | {"Copy": ("copy.wav", "copy.png")}
+    after = pictures(out, second)
+    assert (after["Along"], after["Beside"]) == (before["Along"], before["Beside"])
+    _, alone = touch(scene, tmp_path / "alone")
+    assert after == pictures(tmp_path / "alone", alone)
+    assert touch(scene, out)[1]["counts"] == NOTHING
+
+    changed(scene, lambda: bpy.data.objects.remove(bpy.data.objects["Along"]))
+    _, third = touch(scene, out)
+    assert files_of(third)["Copy"] == ("copy.wav", "copy.png")
+    assert third["left_over"] == ["along.png", "along.wav"]
+    assert pictures(out, third)["Copy"] == after["Copy"]
+
+
+def test_a_new_name_keeps_the_files(scene, tmp_path) -> None:
+    """And the picture in them says it."""
+    out = tmp_path / "out"
+    _, first = touch(scene, out)
+    before = pictures(out, first)["Along"]
+    changed(scene, lambda: setattr(bpy.data.objects["Along"], "name", "New"))
+    _, second = touch(scene, out)
+    assert files_of(second)["New"] == ("along.wav", "along.png")
+    assert second["left_over"] == []
+    assert pictures(out, second)["New"] != before
+
+
+def test_strokes_that_an_older_version_let_share_files_are_parted(scene, tmp_path) -> None:
+    out = tmp_path / "out"
+    changed(scene, duplicate)
+    _, whole = touch(scene, out)
+    report = json.loads((out / "report.json").read_text())
+    entries = {stroke["name"]: stroke for stroke in report["strokes"]}
+    entries["Copy"].update(wav="along.wav", picture="along.png", wav_hash=entries["Along"]["wav_hash"])
+    (out / "report.json").write_text(json.dumps(report))
+    expected = pictures(out, whole)
+    (out / "along.png").write_bytes((out / "copy.png").read_bytes())
+    for name in ("copy.wav", "copy.png"):
+        (out / name).unlink()
+    _, second = touch(scene, out)
+    assert files_of(second) == files_of(whole)
+    assert pictures(out, second) == expected
+    assert touch(scene, out)[1]["counts"] == NOTHING
+
+
 def test_a_probe_between_two_runs_costs_the_second_one_nothing(scene, tmp_path) -> None:
     out = tmp_path / "out"
     touch(scene, out)
