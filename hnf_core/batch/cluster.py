@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import re
 import signal
 import tempfile
@@ -24,11 +23,6 @@ from .order import Order, Outcome, State, encode, outcome_from
 HOST = "127.0.0.1"
 CONNECT_S, START_S, CLOSE_S = 10.0, 60.0, 10.0
 ADDRESS = re.compile(r"(tcp|tls)://\S+:\d+")
-
-
-def cores() -> int:
-    """That this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def check_address(address: str) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..cores import cores
 from ..errors import HnfError, UsageError
 from .progress import Progress, ProgressBar
 
@@ -64,7 +65,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Raises HnfError; returns the exit code."""
     try:
-        from ..batch.cluster import check_address, cores
+        from ..batch.cluster import check_address
         from ..batch.run import Options, run_batch
     except ImportError as error:
         raise HnfError(

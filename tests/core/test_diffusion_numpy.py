@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import os
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from hypothesis import strategies as st
 from tactile_networks import SMALL, architecture, look, random_parameters, random_weights
 
 from hnf_core.errors import FileError, UsageError, WeightsError
+from hnf_core.tactile.diffusion import predict as module
 from hnf_core.tactile.diffusion.conditions import look_of_view
 from hnf_core.tactile.diffusion.config import DIFFUSION, REGRESSION, MapConfig
 from hnf_core.tactile.diffusion.network import network_of
@@ -117,6 +120,22 @@ def test_neighbours_and_order_do_not_matter(order, chosen, objective):
     picked = list(order)[:chosen]
     together = predict(weights, [views[index] for index in picked], "gelsight", seed=1, steps=2)
     assert all(same(alone[index], found) for index, found in zip(picked, together, strict=True))
+
+
+def test_no_more_threads_than_this_process_may_use(monkeypatch):
+    """A machine may have more cores: a batch's worker, or a container, is given some of them."""
+    sizes = []
+
+    class Pool(ThreadPoolExecutor):
+        def __init__(self, workers):
+            sizes.append(workers)
+            super().__init__(workers)
+
+    monkeypatch.setattr(os, "cpu_count", lambda: 64)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {3, 5}, raising=False)
+    monkeypatch.setattr(module, "ThreadPoolExecutor", Pool)
+    predict(random_weights(objective=REGRESSION), [look(index) for index in range(3)], "digit", seed=0)
+    assert sizes == [2]
 
 
 def silent(*layers: str):

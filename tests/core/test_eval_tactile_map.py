@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +21,7 @@ from hnf_core.datasets.pair_tiles import PairSizes, laid_tile, orders
 from hnf_core.datasets.tactile_pairs import HELD_OUT_CLASSES, HELD_OUT_INSTANCES, linear_rgb
 from hnf_core.errors import FileError, UsageError
 from hnf_core.evaluation.held_out import Known, expected
-from hnf_core.evaluation.tactile_map import judge, run, tiles
+from hnf_core.evaluation.tactile_map import judge, predictions, run, tiles
 from hnf_core.evaluation.tactile_map.figures import draw_pictures
 from hnf_core.evaluation.tactile_map.image_quality import SIDE, SIGMA, normal_angle_deg, psnr_db, ssim
 from hnf_core.evaluation.tactile_map.judge import judge_pictures, judge_spectra
@@ -323,6 +325,22 @@ def test_the_curve_is_that_of_the_diffusion_wherever_it_stands(weights) -> None:
     assert len(curves[0]) == 2
     for one, other in zip(*curves, strict=True):
         assert one.results[0].errors[judge.PREDICTED] == other.results[0].errors[judge.PREDICTED]
+
+
+def test_no_more_threads_are_asked_than_this_process_may_use(weights, tile, tmp_path, monkeypatch) -> None:
+    sizes: list[int] = []
+
+    class Pool(ThreadPoolExecutor):
+        def __init__(self, workers: int) -> None:
+            sizes.append(workers)
+            super().__init__(workers)
+
+    monkeypatch.setattr(os, "cpu_count", lambda: 64)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {3, 5}, raising=False)
+    monkeypatch.setattr(predictions, "ThreadPoolExecutor", Pool)
+    network = load_map_weights(weights / f"{REGRESSION}.safetensors")
+    predictions.predicted(network, tile, predictions.Asked(views=(0, 1)), 0, Kept(tmp_path))
+    assert sizes == [2]
 
 
 def test_without_another_network_there_is_no_row_of_it(weights) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...blas import one_blas_thread
+from ...cores import cores
 from ...datasets.tactile_pairs import PAIR_SENSORS
 from ...tactile.diffusion.predict import DEFAULT_STEPS, predict_slopes
 from ...tactile.diffusion.weights import MapWeights
@@ -52,7 +52,7 @@ def predicted(weights: MapWeights, tile: JudgedTile, asked: Asked, seed: int, ke
 
     def make() -> Arrays:
         began = time.process_time()
-        with one_blas_thread(), ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        with one_blas_thread(), ThreadPoolExecutor(cores()) as pool:
             slopes = list(pool.map(one, range(*asked.views)))
         return {
             "slopes": np.stack(slopes).astype(np.float16),

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...cores import cores
 from ...errors import UsageError
 from ..height import integrate_gradients
 from ..optics import limit_slope, sensor_by_name, shade
@@ -60,7 +60,7 @@ def predict(
     if not views:
         return ()
     # One view a thread: numpy lets go of the interpreter in its loops and products.
-    with ThreadPoolExecutor(min(len(views), os.cpu_count() or 1)) as pool:
+    with ThreadPoolExecutor(min(len(views), cores())) as pool:
         found = list(
             pool.map(lambda view, own: predict_slopes(weights, view, sensor, own, steps, guidance), views, seeds)
         )
