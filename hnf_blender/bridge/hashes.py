@@ -3,7 +3,8 @@ gives the same hash in every Blender."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 from hnf_core.files import content_hash
@@ -46,16 +47,21 @@ TEXTURE_MAPPING = (
 
 OUTPUTS = ("ShaderNodeOutputMaterial", "ShaderNodeOutputWorld", "ShaderNodeOutputLight", "NodeGroupOutput")
 
+OfFile = Callable[[Path], bytes | str]
+ImageHash = Callable[[Any, Any], str]
+"""(image, its user in a node) → hash."""
+
 SAME = 1e-6
 """Blender keeps such values as float32."""
 
 
-def material_hash(material: Any, frame: int = 1) -> str:
+def material_hash(material: Any, frame: int = 1, of_file: OfFile = Path.read_bytes) -> str:
     """Hash of everything a material's node tree computes, images' pixels included; "" for no material.
 
     frame: of the scene, which says what image sequences show; all other values are as they stand now. The file's
     working colour space counts: greys of colours and values of pictures follow from it. What feeds only the viewport
     (preview, line art) does not count, nor what is another object's or the mesh's (see owner.py).
+    of_file: what of an image's file counts.
     """
     if material is None:
         return ""
@@ -63,7 +69,9 @@ def material_hash(material: Any, frame: int = 1) -> str:
         plain = (material.diffuse_color, material.roughness, material.metallic)
         return content_hash("plain", repr([list(plain[0]), plain[1], plain[2]]))
     method = getattr(material, "displacement_method", "")
-    return content_hash("nodes", method, *_tree_parts(material.node_tree, set(), frame), *_working_space())
+    return content_hash(
+        "nodes", method, *_tree_parts(material.node_tree, set(), _seen_at(frame, of_file)), *_working_space()
+    )
 
 
 def settings_text(block: Any) -> str:
@@ -82,9 +90,15 @@ def settings_text(block: Any) -> str:
     return repr(sorted(found))
 
 
-def tree_hash(tree: Any, frame: int = 1) -> str:
+def tree_hash(tree: Any, frame: int = 1, of_file: OfFile = Path.read_bytes) -> str:
     """As material_hash, of the node tree of a world or a light; "" for None."""
-    return "" if tree is None else content_hash("tree", *_tree_parts(tree, set(), frame), *_working_space())
+    if tree is None:
+        return ""
+    return content_hash("tree", *_tree_parts(tree, set(), _seen_at(frame, of_file)), *_working_space())
+
+
+def _seen_at(frame: int, of_file: OfFile) -> ImageHash:
+    return lambda image, user: image_hash(image, user, frame, of_file)
 
 
 def _working_space() -> Iterator[str]:
@@ -92,7 +106,7 @@ def _working_space() -> Iterator[str]:
     yield from filter(None, [compat.working_space()])
 
 
-def _tree_parts(tree: Any, seen: set[str], frame: int) -> Iterator[str]:
+def _tree_parts(tree: Any, seen: set[str], hash_of: ImageHash) -> Iterator[str]:
     """Nodes in the order of their names (names give links their ends), then links."""
     if tree.name_full in seen:
         return
@@ -109,7 +123,7 @@ def _tree_parts(tree: Any, seen: set[str], frame: int) -> Iterator[str]:
         yield repr(list(_socket_values(node)))
         if node.bl_idname.startswith(("ShaderNodeValue", "ShaderNodeRGB")) or node.bl_idname == "ShaderNodeNormal":
             yield repr([_socket_value(socket) for socket in node.outputs])
-        yield from _special_parts(node, seen, frame)
+        yield from _special_parts(node, seen, hash_of)
     yield from sorted(
         f"{link.from_node.name}|{link.from_socket.identifier}|{link.to_node.name}|{link.to_socket.identifier}"
         for link in tree.links
@@ -153,10 +167,10 @@ def _socket_value(socket: Any) -> object:
         return getattr(value, "name_full", repr(value))
 
 
-def _special_parts(node: Any, seen: set[str], frame: int) -> Iterator[str]:
+def _special_parts(node: Any, seen: set[str], hash_of: ImageHash) -> Iterator[str]:
     image = getattr(node, "image", None)
     if image is not None:
-        yield image_hash(image, getattr(node, "image_user", None), frame)
+        yield hash_of(image, getattr(node, "image_user", None))
     ramp = getattr(node, "color_ramp", None)
     if ramp is not None:
         kinds = (ramp.interpolation, ramp.color_mode, ramp.hue_interpolation)
@@ -178,7 +192,7 @@ def _special_parts(node: Any, seen: set[str], frame: int) -> Iterator[str]:
     group = getattr(node, "node_tree", None)
     if group is not None:
         yield group.name_full
-        yield from _tree_parts(group, seen, frame)
+        yield from _tree_parts(group, seen, hash_of)
 
 
 def _active_outputs(tree: Any) -> Iterator[str]:

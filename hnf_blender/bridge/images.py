@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +26,19 @@ def image_files(image: Any) -> list[Path]:
     return [Path(path)]
 
 
-def image_hash(image: Any, user: Any = None, frame: int = 1) -> str:
+def file_facts(path: Path) -> str:
+    """What tells a file from what it was without reading it: a film or a texture may be of any size."""
+    facts = path.stat()
+    return f"{path}\0{facts.st_size}\0{facts.st_mtime_ns}"
+
+
+def image_hash(
+    image: Any, user: Any = None, frame: int = 1, of_file: Callable[[Path], bytes | str] = Path.read_bytes
+) -> str:
     """Hash of an image's pixels as stored: packed bytes, files (all tiles of a UDIM), or generated settings.
 
     user: the node's image user, which says which part of a sequence or movie is shown at scene frame `frame`.
+    of_file: what of a file outside counts.
     """
     if image is None:
         return ""
@@ -50,7 +60,7 @@ def image_hash(image: Any, user: Any = None, frame: int = 1) -> str:
     files = image_files(image)
     if image.source == "SEQUENCE" and user is not None:
         files = [frame_file(path, shown_frame(user, frame)) for path in files]
-    return content_hash(*settings, *(path.read_bytes() for path in files if path.is_file()))
+    return content_hash(*settings, *(of_file(path) for path in files if path.is_file()))
 
 
 def shown_frame(user: Any, frame: int) -> int:

@@ -11,6 +11,7 @@ from hnf_core.scene.camera import Camera
 
 from .. import compat
 from .hashes import material_hash, settings_text, tree_hash
+from .images import file_facts
 from .meshes import mesh_hash, slot_materials
 from .owner import owner_text, reads_of
 
@@ -24,6 +25,8 @@ SCATTERING = frozenset({"NODES", "PARTICLE_SYSTEM"})
 
 class PictureHashes:
     """Of the pictures of one scene as it is now; each object is looked at once.
+
+    Files of images count by size and time of change: what stands around may have many, and a picture is soon drawn.
 
     source: hash of the file, which stands in for what is not looked at: scattered copies, hair, what has no faces.
     """
@@ -71,7 +74,7 @@ class PictureHashes:
             return ""
         key = material.as_pointer()
         if key not in self._materials:
-            self._materials[key] = material_hash(material, self._scene.frame_current)
+            self._materials[key] = material_hash(material, self._scene.frame_current, file_facts)
         return self._materials[key]
 
 
@@ -83,10 +86,10 @@ def _around(scene: Any, depsgraph: Any) -> Iterator[str]:
         yield _place(lamp, depsgraph)
         yield repr([getattr(lamp, name) for name in SHOWN])
         yield data.type + settings_text(data) + settings_text(getattr(data, "cycles", None))
-        yield tree_hash(data.node_tree if getattr(data, "use_nodes", True) else None, frame)
+        yield tree_hash(data.node_tree if getattr(data, "use_nodes", True) else None, frame, file_facts)
     if world is not None:
         yield settings_text(world) + settings_text(getattr(world, "cycles", None))
-        yield tree_hash(world.node_tree if compat.use_nodes(world) else None, frame)
+        yield tree_hash(world.node_tree if compat.use_nodes(world) else None, frame, file_facts)
 
 
 def _place(obj: Any, depsgraph: Any) -> str:

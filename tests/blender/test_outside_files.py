@@ -5,8 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
+import numpy as np
+from builders import add_plane
 from outside_pictures import picture
 
+from hnf_blender.bridge.hashes import material_hash
+from hnf_blender.bridge.picture_hash import PictureHashes
+from hnf_blender.bridge.scene_camera import overview_camera
 from hnf_blender.touch.outside import outside_files
 
 
@@ -26,3 +31,52 @@ def test_files_beside_a_scene(tmp_path: Path) -> None:
     assert set(outside_files(tmp_path / "cup.gltf")) == pictures | {str(tmp_path / "cup.bin")}
     (tmp_path / "lone.png").unlink()
     assert str(tmp_path / "lone.png") not in outside_files(tmp_path / "cup.blend")
+
+
+def shaded(name: str, image):
+    """A plate whose colour is an image."""
+    plate, material = add_plane(name, 0.02), bpy.data.materials.new(name)
+    material.use_nodes = True
+    node = material.node_tree.nodes.new("ShaderNodeTexImage")
+    node.image = image
+    shader = material.node_tree.nodes["Principled BSDF"]
+    material.node_tree.links.new(node.outputs["Color"], shader.inputs["Base Color"])
+    plate.data.materials.append(material)
+    return plate
+
+
+def key_of(plate) -> str:
+    path = np.array([[-0.01, 0.0, 0.0], [0.01, 0.0, 0.0]])
+    camera = overview_camera(path, np.array([0.0, 0.0, 1.0]), 0.02, 64, 36)
+    hashes = PictureHashes(bpy.context.scene, bpy.context.evaluated_depsgraph_get(), 1.0)
+    return hashes.of(camera, [plate])
+
+
+def world_of(image) -> None:
+    world = bpy.context.scene.world = bpy.data.worlds.new("Sky")
+    world.use_nodes = True
+    node = world.node_tree.nodes.new("ShaderNodeTexEnvironment")
+    node.image = image
+    world.node_tree.links.new(node.outputs["Color"], world.node_tree.nodes["Background"].inputs["Color"])
+
+
+def test_a_pictures_key_reads_no_file_and_follows_each(tmp_path: Path, monkeypatch) -> None:
+    """Of a neighbour's texture and of the sky's; what is packed counts by its content."""
+    leather, sky = picture(tmp_path / "leather.png"), picture(tmp_path / "sky.png")
+    plate = shaded("Beside", leather)
+    world_of(sky)
+    read, whole = [], Path.read_bytes
+    monkeypatch.setattr(Path, "read_bytes", lambda path: (read.append(path), whole(path))[1])
+    first = key_of(plate)
+    assert key_of(plate) == first
+    assert read == []
+    keys = {first}
+    for name in ("leather.png", "sky.png"):
+        (tmp_path / name).write_bytes(whole(tmp_path / name) + b" ")
+        keys.add(key_of(plate))
+    assert read == []
+    material_hash(plate.data.materials[0])  # what is felt follows from the pixels
+    assert read == [tmp_path / "leather.png"]
+    leather.pack()
+    keys.add(key_of(plate))
+    assert len(keys) == 4
