@@ -32,8 +32,8 @@ from ..actuators.sources.limited import Limited
 from ..actuators.sources.recorded import Recorded
 from ..actuators.stream import Stream
 from ..actuators.targets import FORMS, FileTarget, Target, parse_target, sink_of
+from ..counted import counted
 from ..errors import DeviceError, UsageError
-from .counted import counted
 from .level_meter import LevelMeter
 from .stream_warning import CHECKED_S, checked_s, strongest_of, warning_of
 from .verbs import HELP
