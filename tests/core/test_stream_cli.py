@@ -27,9 +27,9 @@ from hnf_core.actuators.sink import SinkFormat
 from hnf_core.actuators.sources.recorded import Recorded
 from hnf_core.actuators.virtual.device import Abilities
 from hnf_core.actuators.virtual.port import VirtualPort
-from hnf_core.cli.counted import counted
 from hnf_core.cli.level_meter import LevelMeter, meter_line
 from hnf_core.cli.main import main
+from hnf_core.counted import counted
 from hnf_core.export.wav import write_wav
 from hnf_core.signal import Signal
 
