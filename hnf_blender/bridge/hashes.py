@@ -10,7 +10,7 @@ from typing import Any
 from hnf_core.files import content_hash
 
 from .. import compat
-from .images import image_hash
+from .images import image_hash, whole_file
 
 COSMETIC = frozenset({
     "name", "label", "location", "location_absolute", "width", "height", "select", "color", "use_custom_color",
@@ -55,7 +55,7 @@ SAME = 1e-6
 """Blender keeps such values as float32."""
 
 
-def material_hash(material: Any, frame: int = 1, of_file: OfFile = Path.read_bytes) -> str:
+def material_hash(material: Any, frame: int = 1, of_file: OfFile = whole_file) -> str:
     """Hash of everything a material's node tree computes, images' pixels included; "" for no material.
 
     frame: of the scene, which says what image sequences show; all other values are as they stand now. The file's
@@ -90,7 +90,7 @@ def settings_text(block: Any) -> str:
     return repr(sorted(found))
 
 
-def tree_hash(tree: Any, frame: int = 1, of_file: OfFile = Path.read_bytes) -> str:
+def tree_hash(tree: Any, frame: int = 1, of_file: OfFile = whole_file) -> str:
     """As material_hash, of the node tree of a world or a light; "" for None."""
     if tree is None:
         return ""

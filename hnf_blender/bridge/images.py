@@ -26,6 +26,10 @@ def image_files(image: Any) -> list[Path]:
     return [Path(path)]
 
 
+def whole_file(path: Path) -> bytes:
+    return path.read_bytes()
+
+
 def file_facts(path: Path) -> str:
     """What tells a file from what it was without reading it: a film or a texture may be of any size."""
     facts = path.stat()
@@ -33,7 +37,7 @@ def file_facts(path: Path) -> str:
 
 
 def image_hash(
-    image: Any, user: Any = None, frame: int = 1, of_file: Callable[[Path], bytes | str] = Path.read_bytes
+    image: Any, user: Any = None, frame: int = 1, of_file: Callable[[Path], bytes | str] = whole_file
 ) -> str:
     """Hash of an image's pixels as stored: packed bytes, files (all tiles of a UDIM), or generated settings.
 
