@@ -6,12 +6,23 @@ import json
 from collections import Counter
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from pathlib import Path
 
 from hnf_core.files import content_hash
 
 from .jobs import Job
 from .report import REPORT_NAME, SCHEMA, StrokeReport
+
+
+class Again(StrEnum):
+    """What is not as an earlier run left it: nothing, its .blend, which is not there or was never saved, the scene's
+    file, or which strokes there are."""
+
+    NOTHING = ""
+    UNFINISHED = "unfinished"
+    CHANGED = "changed"
+    STROKES = "strokes"
 
 
 @dataclass(frozen=True)
@@ -45,10 +56,14 @@ class Earlier:
     def has_name(self, name: str) -> bool:
         return any(stroke.name == name for stroke in self.strokes)
 
-    def is_of(self, jobs: Iterable[Job], source: str) -> bool:
-        """Was its .blend made from this source, with these strokes and no others?"""
+    def why_again(self, jobs: Iterable[Job], source: str, blend: Path) -> Again:
+        """Why its .blend cannot stay: NOTHING where it was made from this source, with these strokes and no others."""
+        if self.source == "" or not blend.is_file():
+            return Again.UNFINISHED
+        if self.source != source:
+            return Again.CHANGED
         mine = {(stroke.key, stroke.name) for stroke in self.strokes}
-        return self.source == source != "" and mine == {(job.key, job.name) for job in jobs}
+        return Again.NOTHING if mine == {(job.key, job.name) for job in jobs} else Again.STROKES
 
 
 def earlier_run(folder: Path | None) -> Earlier:

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from hnf_core.counted import counted
 from hnf_core.tactile.tactile_map import Route
 
+from .earlier import Again
 from .options import with_option
 from .report import Failed, Skipped
 
@@ -19,6 +20,12 @@ PATTERN_SECONDS, IMAGE_SECONDS = 0.7, 0.2
 PREDICTION_SECONDS, PICTURE_SECONDS, SYNTHESIS_SECONDS = 0.1, 1.8, 0.4
 """Rough cost on two cores, for the estimate only."""
 TYPICAL_PATH_M, PATCH_PITCH_M = 60e-3, 10e-3
+
+AGAIN = {
+    Again.UNFINISHED: "The baked .blend is not there, or the earlier run did not finish it",
+    Again.CHANGED: "The scene's file has changed since",
+    Again.STROKES: "The earlier run had other strokes",
+}
 
 
 def patches_at_most(length_m: float) -> int:
@@ -89,7 +96,8 @@ class PlannedProbe:
 
 @dataclass(frozen=True)
 class Plan:
-    """pictures: upper bound of those that fresh strokes get anew, since the scene's file is another than it was."""
+    """pictures: upper bound of those that fresh strokes get anew. again: why the .blend of an earlier run, which has
+    fresh ones, is written anew."""
 
     needed: tuple[Needed, ...]
     fresh: tuple[Fresh, ...]
@@ -98,6 +106,7 @@ class Plan:
     notes: tuple[str, ...]
     probes: tuple[PlannedProbe, ...] = ()
     pictures: int = 0
+    again: Again = Again.NOTHING
 
     @property
     def renders(self) -> int:
@@ -140,6 +149,11 @@ class Plan:
             parts.append(f"{counted(self.predictions, 'relief')} estimated from pictures")
         return f"at most {', '.join(parts[:-1])} and {parts[-1]}, about {self.seconds:.0f} s"
 
+    def _pictures_in_words(self) -> str:
+        if not self.pictures:
+            return ""
+        return f", and at most {counted(self.pictures, 'picture')}, where what it shows is not what it showed"
+
     def as_text(self) -> str:
         lines = []
         if self.needed:
@@ -158,11 +172,8 @@ class Plan:
                 lines.append(f"  {probe.name}: on {probe.object}, {probe.material or 'no material'}; {cost}")
                 lines += [_route_line(probe.slot, probe.predictions)] if probe.slot is not None else []
         lines += ["Up to date:", *(f"  {entry.stroke}: {entry.wav}" for entry in self.fresh)] if self.fresh else []
-        if self.pictures:
-            lines.append(
-                "  The scene's file has changed since: the baked .blend is written anew, and at most "
-                f"{self.pictures} pictures, where they show what changed."
-            )
+        if self.again:
+            lines.append(f"  {AGAIN[self.again]}: the baked .blend is written anew{self._pictures_in_words()}.")
         lines += ["Skipped:", *_bullets(self.skipped)] if self.skipped else []
         lines += ["Problems:", *(f"  {entry.why}" for entry in self.failed)] if self.failed else []
         lines += ["Notes:", *(f"  {with_option(note)}" for note in self.notes)] if self.notes else []

@@ -21,7 +21,7 @@ from ..bridge.importers import open_scene
 from ..bridge.metres import metres_per_unit
 from ..bridge.scene_names import object_in
 from .deliver import deliver, draw_again, save_baked
-from .earlier import Earlier, earlier_run, left_over
+from .earlier import Again, Earlier, earlier_run, left_over
 from .feel import BakedStroke, feel
 from .jobs import Gathered, Job, Session, gather
 from .mapped import mapped
@@ -114,7 +114,7 @@ def touch_steps(
             report.warn(f"stroke '{stroke.name}': {warning}")
     names = {job.name for job in found.jobs} | {each.stroke for each in found.failed}
     report.left_over = left_over(earlier, folder, report.scene, report.strokes, names)
-    if found.jobs and len(fresh) == len(found.jobs) and baked_path.is_file() and earlier.is_of(found.jobs, source):
+    if found.jobs and len(fresh) == len(found.jobs) and not earlier.why_again(found.jobs, source, baked_path):
         report.source = source
         return
     with Views(session.scene, session.depsgraph, session.metres_per_unit, report.counts, source) as views:
@@ -172,10 +172,15 @@ def make_plan(session: Session, found: Gathered, earlier: Earlier, source: str) 
         why = "changed since the last run" if earlier.has_name(job.name) else "not baked yet"
         routes = slot_plans(session, job)
         needed.append(Needed(job.name, job.object_name, shader, patches_at_most(length), why, routes))
-    pictures = 0 if earlier.source == source else len(fresh)
+    folder, again = session.request.out, Again.NOTHING
+    if fresh and folder is not None:
+        again = earlier.why_again(found.jobs, source, folder / baked_name(session))
+    # Of the same file, only a picture of which nobody knows what it shows may be another.
+    pictures = sum(earlier.source != source or not entry.picture_key for entry in known.values())
     return Plan(
-        tuple(needed), tuple(fresh), tuple(found.skipped), tuple(found.failed), tuple(found.notes), pictures=pictures
-    )
+        tuple(needed), tuple(fresh), tuple(found.skipped), tuple(found.failed), tuple(found.notes), pictures=pictures,
+        again=again,
+    )  # fmt: skip
 
 
 def baked_name(session: Session) -> str:

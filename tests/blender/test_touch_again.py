@@ -282,6 +282,46 @@ def test_the_plan_counts_the_pictures_that_may_be_made_anew(scene, tmp_path, cap
     assert "at most 2 pictures" in capsys.readouterr().out
 
 
+def plan_of(scene, out, capsys, *words: str) -> tuple[dict, str]:
+    capsys.readouterr()
+    assert main(["touch", str(scene), "--out", str(out), "--plan", "--json", *words]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert main(["touch", str(scene), "--out", str(out), "--plan", *words]) == 0
+    return record, capsys.readouterr().out
+
+
+def test_the_plan_says_why_the_baked_file_is_written_anew(scene, tmp_path, capsys) -> None:
+    """And nothing where it stays: what is planned is what the run then does."""
+    changed(scene, lambda: bpy.data.objects.remove(bpy.data.objects["Beside"]))
+    out = tmp_path / "out"
+    _, first = touch(scene, out)
+    blend, written = out / first["baked_blend"], json.loads((out / "report.json").read_text())
+    record, said = plan_of(scene, out, capsys)
+    assert (record["again"], record["pictures"]) == ("", 0)
+    assert "anew" not in said
+
+    (out / "report.json").write_text(json.dumps(written | {"source": ""}))  # as an interrupted run leaves it
+    record, said = plan_of(scene, out, capsys)
+    assert (record["again"], record["pictures"]) == ("unfinished", 1)
+    assert "did not finish it" in said
+    assert "has changed since" not in said
+    assert "at most 1 picture," in said
+
+    (out / "report.json").write_text(json.dumps(written))
+    blend.unlink()
+    record, said = plan_of(scene, out, capsys)
+    assert (record["again"], record["pictures"]) == ("unfinished", 0)
+    assert "written anew." in said
+    assert touch(scene, out)[1]["counts"]["renders"] == 0
+    assert blend.is_file()
+
+    assert plan_of(scene, out, capsys, "--stroke", "rub-fast", "--on", PLATE)[0]["again"] == "strokes"
+    changed(scene, move("Camera"))
+    record, said = plan_of(scene, out, capsys)
+    assert (record["again"], record["pictures"]) == ("changed", 1)
+    assert "has changed since" in said
+
+
 def test_the_scenes_own_camera_shows_the_longer_stroke() -> None:
     """What the others stand on: at the size that touch() renders."""
     assert 0.008 / 0.108 < LEAST_SHARE < 0.02 / 0.108  # a 36 mm sensor and a 50 mm lens, 0.15 m away
