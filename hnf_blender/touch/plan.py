@@ -12,6 +12,7 @@ from hnf_core.tactile.tactile_map import Route
 from .earlier import Again
 from .options import with_option
 from .report import Failed, Skipped
+from .view import OWN_VIEWS
 
 LOOKS = 2
 """Renders of a close-up at most: see closeup.iter_closeups."""
@@ -110,8 +111,10 @@ class Plan:
 
     @property
     def renders(self) -> int:
-        """Upper bound: a close-up a patch, and one a probe, in two looks at most, and one picture a stroke."""
-        return LOOKS * self.close_ups + len(self.needed) + self.pictures
+        """Upper bound: a close-up a patch, and one a probe, in two looks at most; for the pictures one view by the
+        scene's camera, and each stroke's own past what stands before it."""
+        drawn = len(self.needed) + self.pictures
+        return LOOKS * self.close_ups + OWN_VIEWS * drawn + min(1, drawn)
 
     @property
     def close_ups(self) -> int:

@@ -43,6 +43,8 @@ LEAST_SEEN = 0.25
 """Of a stroke's points; with fewer in sight another view of it is looked for."""
 CUTS = 2
 """One obstacle may stand behind another."""
+OWN_VIEWS = 1 + CUTS
+"""Renders for one stroke at most, beside the scene camera's view, which all share."""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from touch_scene import PLATE, line_stroke, ridge_plate, save_scene, touch
 
 from hnf_blender.bridge.storage import read_tokens
 from hnf_blender.cli import main
-from hnf_blender.touch.view import LEAST_SHARE
+from hnf_blender.touch.view import LEAST_SHARE, OWN_VIEWS
 
 NOTHING = {"close_ups": 0, "renders": 0, "rays": 0, "network_calls": 0, "tokens": 0, "diffusion_calls": 0}
 PLACE = (0.04, 0.03, 0.02)
@@ -277,7 +277,7 @@ def test_the_plan_counts_the_pictures_that_may_be_made_anew(scene, tmp_path, cap
 
     assert (planned()["estimate"]["renders_at_most"], planned()["pictures"]) == (0, 0)
     changed(scene, move("Camera"))
-    assert (planned()["estimate"]["renders_at_most"], planned()["pictures"]) == (2, 2)
+    assert (planned()["estimate"]["renders_at_most"], planned()["pictures"]) == (1 + 2 * OWN_VIEWS, 2)
     assert main(["touch", str(scene), "--out", str(out), "--plan"]) == 0
     assert "at most 2 pictures" in capsys.readouterr().out
 
@@ -320,6 +320,23 @@ def test_the_plan_says_why_the_baked_file_is_written_anew(scene, tmp_path, capsy
     record, said = plan_of(scene, out, capsys)
     assert (record["again"], record["pictures"]) == ("changed", 1)
     assert "has changed since" in said
+
+
+def test_no_run_renders_more_than_its_plan_says(scene, tmp_path, capsys) -> None:
+    """Where two lids stand before the stroke: the scene's camera sees it no more, and each is cut away."""
+
+    def cover() -> None:
+        bpy.data.objects.remove(bpy.data.objects["Beside"])
+        for name, height in (("Lid", 0.03), ("Lower lid", 0.015)):
+            add_plane(name, 0.3).location = (0.0, 0.0, height)
+
+    out = tmp_path / "out"
+    changed(scene, cover)
+    limit = plan_of(scene, out, capsys)[0]["estimate"]["renders_at_most"]
+    assert touch(scene, out)[1]["counts"]["renders"] <= limit
+    changed(scene, move("Lid", (0.0, 0.0, 0.031)))
+    limit = plan_of(scene, out, capsys)[0]["estimate"]["renders_at_most"]
+    assert 1 < touch(scene, out)[1]["counts"]["renders"] <= limit == 1 + OWN_VIEWS
 
 
 def test_the_scenes_own_camera_shows_the_longer_stroke() -> None:
