@@ -173,6 +173,7 @@ def drain(shown: Iterable[tuple[Any, Any]]) -> bool:
     """Look at what STATE.dirty concerns in the (scene, view layer) pairs shown, for BUDGET_S at most, one look at
     least. True when a status changed."""
     started, changed = time.monotonic(), False
+    _forget_scenes()
     dirty = tuple(STATE.dirty)
     STATE.dirty.clear()
     pairs = {scene.name: (scene, layer) for scene, layer in shown}
@@ -187,6 +188,14 @@ def drain(shown: Iterable[tuple[Any, Any]]) -> bool:
         while not _watches[name].is_idle and time.monotonic() - started < BUDGET_S:
             changed = _watches[name].look() or changed
     return changed
+
+
+def _forget_scenes() -> None:
+    """Those that were removed: no material is felt in them, and no other scene need be told of what is baked."""
+    import bpy
+
+    for number in STATE.statuses.keys() - {scene.session_uid for scene in bpy.data.scenes}:
+        del STATE.statuses[number]
 
 
 def forget() -> None:

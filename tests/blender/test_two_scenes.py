@@ -57,3 +57,14 @@ def test_plan_and_purge_speak_of_their_scene(scenes) -> None:
     purge(first, first.view_layers[0], everything=True)
     assert [STATE.strokes_in(scene)["Along"].freshness for scene in scenes] == [Freshness.UNBAKED] * 2
     assert "1" in counts_text(STATE.strokes_in(first).values())
+
+
+def test_a_scene_that_was_removed_is_forgotten(scenes) -> None:
+    first, second = scenes
+    look(*scenes)
+    number = second.session_uid
+    assert number in STATE.statuses
+    bpy.data.scenes.remove(second)
+    look(first)
+    assert number not in STATE.statuses
+    assert STATE.status_of(first, bpy.data.objects["Along"]).freshness is Freshness.FRESH
