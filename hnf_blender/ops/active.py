@@ -6,12 +6,15 @@ from typing import Any
 
 from hnf_core.errors import HnfError
 
+from ..props.listed import Remembered
 from ..props.scene import place_in
 from ..state.settings import settings
 from ..translations import tr
 
 AS_SET = "AS_SET"
 """Value of an operator's probe: the one of the preferences."""
+HELD = Remembered()
+"""(scene, view layer, object) → does it hold that?"""
 
 
 def make_active(context: Any, stroke: Any) -> None:
@@ -37,9 +40,13 @@ def make_shown(context: Any, stroke: Any) -> str:
 
 def surface_here(context: Any, stroke: Any) -> Any:
     """The surface that was chosen for a stroke; None where there is none, or the view layer does not hold it: a deleted
-    object may live on in another scene, or in the stroke alone."""
-    chosen = stroke.hnf_stroke.surface
-    return chosen if chosen is not None and place_in(context.view_layer.objects, chosen) >= 0 else None
+    object may live on in another scene, or in the stroke alone. Buttons ask it in each redraw, of as many objects as
+    there are."""
+    chosen, layer = stroke.hnf_stroke.surface, context.view_layer
+    if chosen is None:
+        return None
+    asked = context.scene.session_uid, layer.name, chosen.session_uid
+    return chosen if HELD.answer(asked, lambda: place_in(layer.objects, chosen) >= 0) else None
 
 
 def probe_of(context: Any, chosen: str) -> str:

@@ -4,6 +4,7 @@ not follow how many of them are linked. Passes are counted."""
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import pytest
@@ -11,6 +12,7 @@ from builders import add_plane
 from stroke_builders import LINE, add_stroke
 
 from hnf_blender.bridge.scene_names import name_in, named_objects, object_in
+from hnf_blender.ops.active import surface_here
 from hnf_blender.props.listed import NEWS
 from hnf_blender.state import watch
 from hnf_blender.state.session import STATE, shown_name
@@ -108,6 +110,20 @@ def test_panels_look_through_no_scene_for_what_is_linked(tmp_path) -> None:
     known(scene, strokes)
     assert all(STATE.status_of(scene, obj).freshness is Freshness.FRESH for obj in strokes)
     assert scene.objects.passes == 0
+
+
+def test_buttons_ask_once_whether_a_surface_is_here(told) -> None:
+    """Until something changes."""
+    plate = add_plane("Plate", 0.1)
+    stroke = add_stroke(LINE, surface=plate)
+    layer = CountedScene(bpy.context.view_layer)
+    context = SimpleNamespace(scene=bpy.context.scene, view_layer=layer)
+    assert [surface_here(context, stroke) for _ in range(5)] == [plate] * 5
+    assert 0 < layer.objects.passes <= 2  # found by name, and looked at
+    bpy.context.scene.collection.objects.unlink(plate)
+    bpy.context.view_layer.update()
+    NEWS.forget()  # as the handler does
+    assert surface_here(context, stroke) is None
 
 
 @pytest.mark.parametrize("changed", [(), ("Plate",)], ids=["nothing new", "a surface changed"])
