@@ -32,6 +32,7 @@ from ..errors import FileError, UsageError
 from ..export.wav import read_wav, write_wav
 from ..field.carriers import MODEL_RATE_HZ
 from ..signal import Signal
+from .actuators_describe import add_describe
 from .seed import seed_of
 from .verbs import HELP
 
@@ -52,6 +53,7 @@ def add_parser(verbs: Any) -> argparse.ArgumentParser:
     actions = parser.add_subparsers(dest="action", metavar="ACTION")
     _add_sweep(actions)
     _add_measure(actions)
+    add_describe(actions)
     _add_report(actions)
     return parser
 
