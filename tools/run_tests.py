@@ -66,8 +66,8 @@ NEWEST_IS_ENOUGH = (
 # Long ones; the oldest and the newest Blender agree on them. What calls Blender's API runs on every one of them, and
 # test_jobs runs the main job there.
 ONCE_IS_ENOUGH = (
-    "test_real_scenes", "test_touch", "test_touch_bad_input", "test_probe", "test_extension", "test_preview_export",
-    "test_cache_truth", "test_splats_touch", *NEWEST_IS_ENOUGH,
+    "test_real_scenes", "test_touch", "test_touch_again", "test_touch_bad_input", "test_probe", "test_extension",
+    "test_preview_export", "test_cache_truth", "test_splats_touch", *NEWEST_IS_ENOUGH,
 )  # fmt: skip
 # Of the two real scenes, 4.2 imports and touches the smaller one.
 ON_THE_OLDEST = (*without("tests/blender", *NEWEST_IS_ENOUGH), "-k", "not FlightHelmet")
