@@ -29,7 +29,9 @@ class HNF_PT_export(TouchPanel, bpy.types.Panel):  # type: ignore[misc]  # noqa:
         choice = CHOICE_OF.get(scene.hnf.export_format)
         if choice is not None and choice.scaled:
             profile = actuator_shown(scene)
-            if profile.assumes_full_scale:
+            if profile.assumes_full_scale and profile.peak_m_s2 is not None:
+                said = tr("1 means {peak:g} m/s², an assumption ({actuator}, chosen under Actuator)")
+            elif profile.assumes_full_scale:
                 said = tr("1 means {peak:g} m/s², an assumption: {actuator} does not state its largest acceleration")
             else:
                 said = tr("1 means {peak:g} m/s² ({actuator}, chosen under Actuator)")
