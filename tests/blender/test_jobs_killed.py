@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -35,7 +36,11 @@ def test_a_killed_child_is_told_and_costs_nothing(stage, warm_bake) -> None:
     assert my_folders() == []
 
 
-def test_the_child_of_a_dead_parent_ends_and_its_folder_is_found(tmp_path) -> None:
+def test_the_child_of_a_dead_parent_ends_and_its_folder_is_found(tmp_path, monkeypatch) -> None:
+    root = tmp_path / "temporary"  # of its own: another process of these tests may clear the common one away first
+    root.mkdir()
+    monkeypatch.setenv("TMPDIR", str(root))
+    monkeypatch.setattr(tempfile, "tempdir", None)
     script = Path(__file__).with_name("die_while_baking.py")
     done = subprocess.run([sys.executable, str(script), str(tmp_path)], capture_output=True, text=True, timeout=120)
     words = done.stdout.split()
@@ -44,8 +49,10 @@ def test_the_child_of_a_dead_parent_ends_and_its_folder_is_found(tmp_path) -> No
     parent = int(words[words.index("PARENT") + 1])
     assert is_gone(pid)
     assert not is_alive(parent)
-    assert remove_abandoned()
-    assert not list(job_root().glob(f"{PREFIX}{parent}-*"))
+    left = list(job_root().glob(f"{PREFIX}*"))
+    assert [each.name.split("-")[2] for each in left] == [str(parent)]
+    assert remove_abandoned() == left
+    assert not list(job_root().glob(f"{PREFIX}*"))
 
 
 def test_it_is_cleared_away_where_no_thread_can_be_begun_any_more(warm_bake, monkeypatch) -> None:
