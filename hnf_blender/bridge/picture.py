@@ -32,12 +32,17 @@ class Overviews:
     is neither loaded nor built again. Use as a context manager; other work may go on in the file meanwhile.
 
     whole: everything in the scene is rendered; else what each view names, and the scene's lights, so that cost does not
-    follow the scene. The pictures are denoised where this Blender can. A scene without light gets a neutral dome.
-    Between two views no object of the user's is in the temporary scene, unless it is whole.
+    follow the scene. The pictures are denoised where this Blender can. relief: what is a few pixels wide stays then, for
+    as much time again as two samples take and more; without it a surface's ridges may be taken for noise. A scene
+    without light gets a neutral dome. Between two views no object of the user's is in the temporary scene, unless it is
+    whole.
     """
 
-    def __init__(self, scene: Any, *, metres_per_unit: float = 1.0, samples: int = 16, whole: bool = False) -> None:
-        self._scene, self._metres, self._samples, self._whole = scene, metres_per_unit, samples, whole
+    def __init__(
+        self, scene: Any, *, metres_per_unit: float = 1.0, samples: int = 16, whole: bool = False, relief: bool = False
+    ) -> None:
+        self._scene, self._metres, self._samples = scene, metres_per_unit, samples
+        self._whole, self._relief = whole, relief
         self._dome: Any = None
 
     def __enter__(self) -> Overviews:
@@ -46,7 +51,7 @@ class Overviews:
             with self.temporary.making():
                 scene = self.temporary.scene
                 prepare_cycles(scene, self._samples)
-                _for_a_quick_look(scene)
+                _for_a_quick_look(scene, self._relief)
                 scene.render.use_persistent_data = True
                 self.temporary.view_layer.use_pass_z = self.temporary.view_layer.use_pass_normal = True
                 self._camera = add_camera(self.temporary)
@@ -232,17 +237,19 @@ def _frame(scene: Any, frame: float | None) -> float:
     return float(scene.frame_current_final) if frame is None else frame
 
 
-def _for_a_quick_look(scene: Any) -> None:
+def _for_a_quick_look(scene: Any, relief: bool) -> None:
     """Few bounces, and Open Image Denoise where this build has it: without it the render would fail, or stay noisy."""
-    scene.cycles.max_bounces = min(scene.cycles.max_bounces, MAX_BOUNCES)
-    scene.cycles.caustics_reflective = scene.cycles.caustics_refractive = False
-    if compat.has_denoiser():
-        scene.cycles.use_denoising = True
-        with quiet():  # naming one makes Cycles look for graphics cards, and say on standard output that there are none
-            scene.cycles.denoiser = "OPENIMAGEDENOISE"
-        # By colour alone a relief is taken for noise: wales and weave are smeared away. Albedo and normal tell it,
-        # where they are denoised themselves first, and well: of so few samples they are as noisy as the colour.
-        scene.cycles.denoising_input_passes = "RGB_ALBEDO_NORMAL"
-        scene.cycles.denoising_prefilter = "ACCURATE"
-        if hasattr(scene.cycles, "denoising_quality"):
-            scene.cycles.denoising_quality = "FAST"
+    cycles = scene.cycles
+    cycles.max_bounces = min(cycles.max_bounces, MAX_BOUNCES)
+    cycles.caustics_reflective = cycles.caustics_refractive = False
+    if not compat.has_denoiser():
+        return
+    cycles.use_denoising = True
+    with quiet():  # naming one makes Cycles look for graphics cards, and say on standard output that there are none
+        cycles.denoiser = "OPENIMAGEDENOISE"
+    # Of so few samples albedo and normal are as noisy as the colour: they only help once they are denoised themselves,
+    # and well, which takes longer than the colour does.
+    cycles.denoising_input_passes = "RGB_ALBEDO_NORMAL" if relief else "RGB"
+    cycles.denoising_prefilter = "ACCURATE" if relief else "FAST"
+    if hasattr(cycles, "denoising_quality"):
+        cycles.denoising_quality = "FAST"

@@ -165,7 +165,7 @@ class Views:
 
     def _render(self, shot: Shot, touched: Any) -> Overview:
         if self._overviews is None:
-            overviews = Overviews(self._scene, metres_per_unit=self._metres, samples=_samples())
+            overviews = Overviews(self._scene, metres_per_unit=self._metres, samples=_samples(), relief=True)
             self._overviews = self._stack.enter_context(overviews)
         self._counts.renders += 1
         return Overview(*self._overviews.view(shot.camera, self._objects(shot, touched)))

@@ -138,7 +138,7 @@ def test_a_denoised_view_of_few_samples_is_nearer_to_many_samples_than_a_raw_one
     assert 0.0 < denoised < 0.7 * raw
 
 
-def test_the_denoiser_leaves_the_ridges_that_are_touched():
+def test_with_relief_the_denoiser_leaves_the_ridges_that_are_touched():
     """A few pixels wide, faint, in a noisy light: 0.68 by colour alone."""
     cloth = coloured(add_plane(size=1.0), (0.1, 0.3, 0.3))
     nodes, links = (getattr(cloth.active_material.node_tree, name) for name in ("nodes", "links"))
@@ -155,15 +155,18 @@ def test_the_denoiser_leaves_the_ridges_that_are_touched():
     wide.rotation_euler, wide.data.angle = (0.0, 1.0, 0.0), 3.0
     camera = overview_camera([[0, 0, 0]], [0, 0, 1], 0.3, 192, 108)
 
-    def ridges(samples, denoised):
+    def ridges(samples, denoised, relief=False):
         """What changes within seven pixels."""
-        with Overviews(bpy.context.scene, samples=samples, whole=True) as overviews:
+        with Overviews(bpy.context.scene, samples=samples, whole=True, relief=relief) as overviews:
             overviews.temporary.scene.cycles.use_denoising = denoised
             seen = linear_to_srgb(overviews.view(camera)[0].rgb)[..., 1]
         return seen - np.stack([np.roll(seen, shift, axis=1) for shift in range(-3, 4)]).mean(axis=0)
 
-    true, shown = ridges(128, False), ridges(touch_view.SAMPLES, True)
-    assert np.corrcoef(true.ravel(), shown.ravel())[0, 1] > 0.8
+    true = ridges(128, False)
+    by_colour, shown = (
+        np.corrcoef(true.ravel(), ridges(touch_view.SAMPLES, True, relief).ravel())[0, 1] for relief in (False, True)
+    )
+    assert shown > max(0.8, by_colour + 0.05)
 
 
 def test_the_pictures_of_a_run_are_taken_on_one_scene_and_none_is_made_without_a_stroke(things, monkeypatch):
@@ -181,6 +184,7 @@ def test_the_pictures_of_a_run_are_taken_on_one_scene_and_none_is_made_without_a
             contacts = SimpleNamespace(point=point, normal=np.tile([0.0, 0.0, 1.0], (5, 1)), force=np.ones(5))
             shown, _ = views.of_stroke(contacts, surface, floor, "Across")
             assert np.ptp(shown.path[:, 0]) > 15
+            assert bpy.data.scenes[SCENE_NAME].cycles.denoising_input_passes == "RGB_ALBEDO_NORMAL"  # the relief stays
     assert (len(scenes), counts.renders) == (1, 2)
     assert SCENE_NAME not in bpy.data.scenes
 
