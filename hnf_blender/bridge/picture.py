@@ -32,10 +32,9 @@ class Overviews:
     is neither loaded nor built again. Use as a context manager; other work may go on in the file meanwhile.
 
     whole: everything in the scene is rendered; else what each view names, and the scene's lights, so that cost does not
-    follow the scene. The pictures are denoised where this Blender can. relief: what is a few pixels wide stays then, for
-    as much time again as two samples take and more; without it a surface's ridges may be taken for noise. A scene
-    without light gets a neutral dome. Between two views no object of the user's is in the temporary scene, unless it is
-    whole.
+    follow the scene. The pictures are denoised where this Blender can. relief: what is a few pixels wide stays then,
+    which takes longer than two samples do; without it a surface's ridges may be taken for noise. A scene without light
+    gets a neutral dome. Between two views no object of the user's is in the temporary scene, unless it is whole.
     """
 
     def __init__(
