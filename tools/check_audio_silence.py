@@ -1,0 +1,168 @@
+"""How long a sound output still sounds after a stream on it is stopped, ends with its program, or is killed: through a
+real sound server (PulseAudio with a null sink, as the tests have), each way many times, at random moments.
+
+Usage: python tools/check_audio_silence.py [TIMES]    100 of each by default; needs pulseaudio, pulseaudio-utils
+
+The output's own clock is read off a recording of what it got: a frame cannot have sounded later than it was recorded,
+so the earliest that all pieces of a recording allow for its first frame is the latest that this frame sounded. What is
+told is therefore an upper bound; it is counted from just before the command. Prints a Markdown table.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "core")]
+
+from sound_server import RATE_HZ, SoundServer, sound_server, why_not  # noqa: E402
+
+from hnf_core.actuators.limits import Limits  # noqa: E402
+from hnf_core.actuators.sinks.audio import AudioSink  # noqa: E402
+from hnf_core.actuators.sources.recorded import Recorded  # noqa: E402
+from hnf_core.actuators.stream import Stream  # noqa: E402
+
+PLAYS_S = (0.15, 0.4)
+HEARD_S = 0.35
+"""Of recording after the command: what still sounds by then is told as that much."""
+GIVEN_UP_S = 30.0
+CHILD = f"""
+import sys; sys.path[:0] = [{str(ROOT)!r}, {str(ROOT / "tools")!r}]
+from check_audio_silence import endless
+with endless() as stream:
+    stream.start()
+    print("plays", flush=True)
+    stream.wait()
+"""
+
+
+def endless() -> Stream:
+    """Never zero, so that a frame of zero is silence."""
+    return Stream(Recorded(np.ones((500, 1)), 10_000.0, loop=True), AudioSink(), Limits(10.0))
+
+
+class Recorder:
+    """What the output gets, and when it was got."""
+
+    def __init__(self, server: SoundServer) -> None:
+        words = ["parec", "--device=lab.monitor", "--format=s16le", f"--rate={RATE_HZ}", "--channels=1"]
+        self._process = subprocess.Popen(
+            [*words, "--latency-msec=2"], stdout=subprocess.PIPE, env=server.environment, bufsize=0
+        )
+        self._pieces: list[tuple[float, bytes]] = []
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        while piece := self._process.stdout.read(4096):
+            self._pieces.append((time.monotonic(), piece))
+
+    def end(self) -> tuple[np.ndarray, float]:
+        """(counts (n,), the latest moment at which the first of them sounded)."""
+        self._process.terminate()
+        self._process.wait(GIVEN_UP_S)
+        self._thread.join(GIVEN_UP_S)
+        ends = np.cumsum([len(piece) // 2 for _, piece in self._pieces])
+        begun = min(at - end / RATE_HZ for (at, _), end in zip(self._pieces, ends, strict=True))
+        return np.frombuffer(b"".join(piece for _, piece in self._pieces), dtype="<i2"), begun
+
+
+def sounded_s(server: SoundServer, play: Callable[[], Callable[[], None]], moment_s: float) -> float:
+    """Seconds from the command until silence. play: begins to, and returns the command that shall end it."""
+    recorder = Recorder(server)
+    command = play()
+    time.sleep(moment_s)
+    at = time.monotonic()
+    command()
+    time.sleep(max(0.0, at + HEARD_S - time.monotonic()))
+    counts, begun = recorder.end()
+    loud = np.flatnonzero(counts)
+    if len(loud) == 0 or counts[loud[0] : loud[-1]].max() < 1000:
+        raise SystemExit("nothing was heard: the sound server is too late for this machine; try again at rest.")
+    return begun + (loud[-1] + 1) / RATE_HZ - at
+
+
+@contextmanager
+def stopped() -> Iterator[Callable[[], Callable[[], None]]]:
+    streams: list[Stream] = []
+
+    def play() -> Callable[[], None]:
+        streams.append(endless())
+        streams[-1].start()
+        return streams[-1].stop
+
+    yield play
+    for stream in streams:
+        stream.stop()
+
+
+@contextmanager
+def paused() -> Iterator[Callable[[], Callable[[], None]]]:
+    with endless() as stream:
+
+        def play() -> Callable[[], None]:
+            stream.start()
+            return stream.pause
+
+        yield play
+
+
+def signalled(number: signal.Signals) -> Callable[[], object]:
+    @contextmanager
+    def way() -> Iterator[Callable[[], Callable[[], None]]]:
+        with subprocess.Popen(
+            [sys.executable, "-c", CHILD], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        ) as child:
+
+            def play() -> Callable[[], None]:
+                assert child.stdout is not None
+                assert child.stdout.readline() == "plays\n"
+                return lambda: os.kill(child.pid, number)
+
+            try:
+                yield play
+            finally:
+                child.kill()
+
+    return way
+
+
+WAYS: dict[str, Callable[[], object]] = {
+    "stop": stopped,
+    "pause": paused,
+    "Ctrl C": signalled(signal.SIGINT),
+    "the program is killed": signalled(signal.SIGKILL),
+    "the program stands still (SIGSTOP)": signalled(signal.SIGSTOP),
+}
+
+
+def main(times: int) -> None:
+    missing = why_not()
+    if missing:
+        raise SystemExit(f"{missing}: apt-get install pulseaudio pulseaudio-utils, and pip install sounddevice.")
+    rng = np.random.default_rng(0)
+    print("| | median | 99 % | most | beyond 20 ms |\n|---|---|---|---|---|", flush=True)
+    with tempfile.TemporaryDirectory() as folder, sound_server(Path(folder)) as server:
+        for name, way in WAYS.items():
+            found = []
+            for _ in range(times):
+                with way() as play:  # type: ignore[attr-defined]
+                    found.append(1e3 * sounded_s(server, play, rng.uniform(*PLAYS_S)))
+            p99, beyond = np.percentile(found, 99), sum(each > 20.0 for each in found)
+            print(f"| {name} | {np.median(found):.1f} ms | {p99:.1f} | {max(found):.1f} | {beyond} of {times} |", flush=True)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 100)
