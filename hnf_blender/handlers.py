@@ -58,9 +58,9 @@ def tick() -> float:
     """Timer: look at what changed, unless the timeline plays."""
     import bpy
 
+    from .jobs.warm import is_ready
     from .props.scene import listed_strokes
     from .state.redraw import redraw_tab
-    from .state.warm import is_ready
 
     windows = bpy.context.window_manager.windows
     if any(window.screen.is_animation_playing for window in windows):

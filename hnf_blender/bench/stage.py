@@ -25,8 +25,8 @@ def playing() -> Iterator[tuple[Any, Any]]:
 
     from .. import props
     from ..jobs import current, running
+    from ..jobs.warm import is_ready
     from ..state.session import STATE
-    from ..state.warm import is_ready
     from ..state.watch import forget
 
     while not is_ready():

@@ -6,11 +6,11 @@ import json
 import os
 import subprocess
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from hnf_core.cli.train_needs import LEAST_PYTHON, PACKAGES
 
+from ..state.outside_python import OutsidePython
 from ..translations import tr
 from .child import OWN_GROUP, end_group
 
@@ -27,20 +27,6 @@ for name in sys.argv[1:]:
         found[name] = ""
 print({MARK!r} + json.dumps({{"version": list(sys.version_info[:3]), "found": found}}))
 """
-
-
-@dataclass(frozen=True)
-class OutsidePython:
-    """path: as the artist named it. version: "3.11.9", "" = it is no Python. found: (package, version) of what it can
-    import. missing: packages that it cannot. problem: why it cannot train, one sentence; "" = it can. command: what
-    installs the missing, "" = nothing would help."""
-
-    path: str
-    version: str
-    found: tuple[tuple[str, str], ...]
-    missing: tuple[str, ...]
-    problem: str
-    command: str = ""
 
 
 def look(path: str, timeout_s: float = TIMEOUT_S) -> OutsidePython:

@@ -22,7 +22,7 @@ from hnf_core.material.prior import Suggestion
 from hnf_core.material.token import Token
 from hnf_core.tactile.tactile_map import Route
 
-from ..preview.images import show
+from ..state.icons import show
 from ..state.probe import NearView, ProbeView, Relief
 from ..state.session import STATE
 from ..touch.bake import token_of

@@ -13,11 +13,11 @@ from ..bridge.storage import SCHEMA_PROPERTY, remove_tokens
 from ..props.scene import place_in
 from ..state.guard import own_changes
 from ..state.session import STATE
+from ..state.texts import byte_text
 from ..touch.jobs import Session, scene_session
 from ..touch.status import Freshness, StrokeStatus
 from ..touch.stored import forget, judge, stored_bytes, tokens_are_there
 from ..translations import tr
-from ..ui.texts import byte_text
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from ..jobs import current
 from ..props.scene import active_stroke, has_strokes
 from ..state.redraw import redraw_tab
 from ..state.session import STATE, JobStatus, LastJob
+from ..state.texts import job_text, left_text
 from ..translations import tr
-from ..ui.texts import job_text, left_text
 from .greyed import greyed
 from .modal_job import ModalJob, no_job_runs
 

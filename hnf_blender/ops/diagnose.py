@@ -18,8 +18,8 @@ from hnf_core.errors import HnfError
 from .. import compat
 from ..state.folders import cache_folder
 from ..state.session import STATE
+from ..state.texts import byte_text
 from ..translations import tr
-from ..ui.texts import byte_text
 from .greyed import greyed
 
 PACKAGES = ("OpenEXR", "embreex", "safetensors", "matplotlib")

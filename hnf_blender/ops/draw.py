@@ -133,7 +133,7 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
         if context.area is None or context.area.type != "VIEW_3D":
             self.report({"WARNING"}, tr("Strokes are drawn in a 3-D view"))
             return {"CANCELLED"}
-        from ..tool.pen import Pen
+        from .pen import Pen
 
         self._pen = Pen(context, self.force_at)
         try:
@@ -157,7 +157,7 @@ class HNF_OT_stroke_draw(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
 
     def _step(self, context: Any, event: Any) -> set[str]:
         from ..bridge.under_cursor import region_under
-        from ..tool.pen import gives_up
+        from .pen import gives_up
 
         pen = self._pen
         if gives_up(context, event, pressed=pen.is_down):

@@ -150,7 +150,7 @@ class HNF_OT_force_graph(bpy.types.Operator):  # type: ignore[misc]  # noqa: N80
 
     def execute(self, context: Any) -> set[str]:
         from ..bridge.force_keys import ensure_force_keys
-        from ..tool.graph import graph_area, show_curve
+        from .graph import graph_area, show_curve
 
         stroke = active_stroke(context)
         try:

@@ -11,9 +11,8 @@ from hnf_core.errors import HnfError
 
 from ..jobs import current
 from ..state.session import STATE, JobStatus, LastJob
+from ..state.texts import CHARACTER_PX, MARGIN_PX, job_text, left_text, wrapped
 from ..translations import tr
-from ..ui.layout import CHARACTER_PX, MARGIN_PX
-from ..ui.texts import job_text, left_text, wrapped
 from .active import one_line
 from .greyed import greyed
 from .materials import felt_object, listed_library

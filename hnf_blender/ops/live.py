@@ -115,7 +115,7 @@ class HNF_OT_live_touch(bpy.types.Operator):  # type: ignore[misc]  # noqa: N801
     def _step(self, context: Any, event: Any) -> set[str]:
         from ..actuator.link import LINK
         from ..bridge.under_cursor import region_under
-        from ..tool.pen import gives_up
+        from .pen import gives_up
 
         if not LINK.is_live:  # ended by its button, another file, or the device
             if LINK.problem:

@@ -15,7 +15,7 @@ from .greyed import greyed
 from .modal_job import TICK_S
 
 if TYPE_CHECKING:
-    from ..jobs.outside_python import OutsidePython
+    from ..state.outside_python import OutsidePython
 
 
 def python_path() -> str:

@@ -11,8 +11,8 @@ from hnf_core.errors import HnfError
 from ..bridge.scene_names import name_in
 from ..jobs import current
 from ..state.session import JobStatus, LastJob
+from ..state.texts import left_text
 from ..translations import tr
-from ..ui.texts import left_text
 from .greyed import greyed
 from .modal_job import ModalJob, no_job_runs
 
@@ -68,7 +68,7 @@ class HNF_OT_probe(ModalJob, bpy.types.Operator):  # type: ignore[misc]  # noqa:
     def _aim(self, context: Any, event: Any) -> set[str]:
         """Wait for the click; the view can be turned meanwhile, and other editors used."""
         from ..bridge.under_cursor import region_under, why_untouched
-        from ..tool.pen import gives_up
+        from .pen import gives_up
 
         if gives_up(context, event):
             return self.end(context, None)

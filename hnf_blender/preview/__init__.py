@@ -93,7 +93,7 @@ def tick() -> float:
     """Timer: take what was heard, ask for what changed, tell the panels. Looks at a counter while nothing happens."""
     import bpy
 
-    from ..state.warm import is_ready
+    from ..jobs.warm import is_ready
 
     windows = list(bpy.context.window_manager.windows)
     if not windows or not hasattr(bpy.types.Object, "hnf_stroke") or not is_ready():
@@ -218,12 +218,13 @@ def register() -> None:
 
 
 def unregister() -> None:
-    from . import current, images
+    from ..state import icons
+    from . import current
 
     ignore(HANDLERS, tick)
     if PREVIEW.listener is not None:
         PREVIEW.listener.end()
         PREVIEW.listener = None
     current.PLAYER.release()
-    images.release()
+    icons.release()
     PREVIEW.clear()

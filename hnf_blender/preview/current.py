@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from hnf_core.actuators.profile import ActuatorProfile
 
     from .hearing import Heard
-    from .pictures import Look
+    from .pictures import Look, Theme
 
 PLAYER = Outputs()
 KEPT_LEVELS = 16
@@ -78,7 +78,7 @@ def take(name: str, heard: Heard) -> None:
 
 def _show(name: str) -> None:
     """The picture of what is heard of a stroke, as its icon."""
-    from .images import show
+    from ..state.icons import show
 
     shown = PREVIEW.shown(name)
     if shown is not None:
@@ -236,10 +236,18 @@ def levels_against(shown: Heard, profile: ActuatorProfile) -> Levels:
 
 
 def look_of(context: Any) -> Look:
-    from .images import theme_of
     from .pictures import Look
 
-    return Look(theme_of(context), actuator_of(context.scene).peak_m_s2)
+    return Look(_theme_of(context), actuator_of(context.scene).peak_m_s2)
+
+
+def _theme_of(context: Any) -> Theme:
+    """Dark or light, by the text of Blender's own buttons."""
+    from .pictures import DARK, LIGHT
+
+    themes = context.preferences.themes
+    text = themes[0].user_interface.wcol_regular.text if len(themes) else (1.0, 1.0, 1.0)
+    return DARK if sum(text[:3]) / 3.0 > 0.5 else LIGHT
 
 
 def _cannot(name: str, why: str) -> None:

@@ -12,7 +12,7 @@ from ..touch.status import StrokeStatus
 if TYPE_CHECKING:
     from hnf_core.material.prior import Suggestion
 
-    from ..jobs.outside_python import OutsidePython
+    from .outside_python import OutsidePython
     from .probe import ProbeView, Relief
 
 

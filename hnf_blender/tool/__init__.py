@@ -1,5 +1,5 @@
-"""The stroke tool of the 3-D view, the line it draws, and the menus that lead to strokes. In a window only: tools,
-keymaps and menus belong to one."""
+"""The stroke tool of the 3-D view, the strokes shown in it, and the menus that lead to strokes. In a window only:
+tools, keymaps and menus belong to one."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from types import ModuleType
 
 from ..rooms import rooms_off, rooms_on
 
-PARTS = (".stroke_tool", ".menus", "..ui.overlay")
+PARTS = (".stroke_tool", ".menus", ".overlay")
 """Modules with register() and unregister(), in order."""
 
 _registered: list[ModuleType] = []

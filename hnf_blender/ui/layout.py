@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from .texts import shortened, wrapped
+from ..state.texts import CHARACTER_PX, MARGIN_PX, shortened, wrapped
 
-CHARACTER_PX = 6.6
-"""Mean width of a character of Blender's interface font at resolution scale 1."""
-MARGIN_PX = 78
-"""What is no text in a line of a boxed label: borders, the icon, the column of tabs."""
 NARROW = 26
 """Characters in a line below which buttons stand under each other."""
 

@@ -11,10 +11,10 @@ from ..ops.materials import felt_object, spoken
 from ..ops.outside_python import python_path
 from ..props.material import OWN_DEFINITION, OWN_NAME
 from ..state.session import STATE, shown_name
+from ..state.texts import reason_text, routes_lines, sure_text
 from ..touch.status import StrokeStatus
 from ..translations import tr
 from .layout import TouchPanel, hint, named, paragraph, side_by_side
-from .texts import reason_text, routes_lines, sure_text
 
 MOST_SUGGESTIONS, MOST_BAKES = 4, 5
 

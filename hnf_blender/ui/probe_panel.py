@@ -8,10 +8,10 @@ import bpy
 
 from ..ops.materials import spoken
 from ..state.session import STATE
+from ..state.texts import factor_text, height_text, reason_text, routes_lines, stiffness_text, sure_text
 from ..translations import tr
 from .layout import TouchPanel, named, paragraph
 from .preview_panel import picture_units
-from .texts import factor_text, height_text, reason_text, routes_lines, stiffness_text, sure_text
 
 if TYPE_CHECKING:
     from ..state.probe import ProbeView

@@ -8,9 +8,7 @@ import bpy
 
 from ..props.scene import listed_strokes
 from ..state.session import STATE, LastJob, PlanView
-from ..translations import tr
-from .layout import TouchPanel, hint, named, paragraph, side_by_side
-from .texts import (
+from ..state.texts import (
     AUDIBLE,
     counts_text,
     estimate_text,
@@ -20,6 +18,8 @@ from .texts import (
     share_done,
     steps,
 )
+from ..translations import tr
+from .layout import TouchPanel, hint, named, paragraph, side_by_side
 
 Told = TypeVar("Told", LastJob, PlanView)
 

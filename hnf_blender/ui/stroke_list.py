@@ -12,9 +12,9 @@ from hnf_core.action.primitives import PRIMITIVES
 from ..props.listed import STROKES
 from ..props.scene import listed_strokes
 from ..state.session import STATE
+from ..state.texts import look, shortened
 from ..translations import tr
 from .layout import characters, line_px
-from .texts import look, shortened
 
 NAME_SHARE, LEAST_SHARE = 0.74, 0.3
 """Of a row of the list, at the most and at the least; the rest is for solo and mute."""

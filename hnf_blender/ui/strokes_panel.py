@@ -13,10 +13,10 @@ from ..ops.materials import spoken
 from ..preview.facts import preview_facts
 from ..props.scene import active_stroke, listed_strokes, namesake
 from ..state.session import STATE
+from ..state.texts import look
 from ..translations import tr
 from .layout import TouchPanel, hint, paragraph, side_by_side
 from .scene_panel import offers_tools
-from .texts import look
 
 FEWEST_ROWS, MOST_ROWS = 2, 8
 """Of the list; between them, as many as there are strokes."""

@@ -14,7 +14,7 @@ from hnf_blender.preview.facts import PREVIEW
 from hnf_blender.preview.hearing import Listener
 from hnf_blender.props.listed import NEWS
 from hnf_blender.state.guard import own_changes
-from hnf_blender.ui import overlay
+from hnf_blender.tool import overlay
 
 
 @pytest.fixture

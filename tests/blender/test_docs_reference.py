@@ -17,9 +17,9 @@ from hnf_blender.props.material import HnfMaterial
 from hnf_blender.props.scene import HnfScene
 from hnf_blender.props.stroke import HnfStroke
 from hnf_blender.rooms import classes_of
+from hnf_blender.state.texts import KINDS, LOOKS, ROUTE_WORDS
 from hnf_blender.touch.inputs import SAME_SURFACE, TOUCH
 from hnf_blender.touch.inputs import WORDS as CHANGES
-from hnf_blender.ui.texts import KINDS, LOOKS, ROUTE_WORDS
 
 ROOT = Path(__file__).resolve().parents[2]
 REFERENCE = (ROOT / "docs" / "blender.md").read_text(encoding="utf-8")

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from hnf_blender.jobs.probe import PICTURE, rgba
-from hnf_blender.preview import current, images
+from hnf_blender.preview import current
 from hnf_blender.preview.facts import PREVIEW
+from hnf_blender.state import icons
 
 
 @pytest.fixture(autouse=True)
@@ -17,7 +18,7 @@ def nothing_shown():
     PREVIEW.clear()
     yield
     PREVIEW.clear()
-    images.release()
+    icons.release()
 
 
 def heard(shade: float) -> SimpleNamespace:
@@ -25,18 +26,18 @@ def heard(shade: float) -> SimpleNamespace:
 
 
 def test_a_stroke_called_as_the_probes_picture_has_one_of_its_own() -> None:
-    images.show(PICTURE, rgba(np.full((4, 4, 3), 51, np.uint8)))
-    probe = images._images[PICTURE]
+    icons.show(PICTURE, rgba(np.full((4, 4, 3), 51, np.uint8)))
+    probe = icons._images[PICTURE]
     current.take(PICTURE, heard(1.0))
-    assert images._images[PICTURE] is probe
+    assert icons._images[PICTURE] is probe
     assert probe.image_pixels_float[0] == pytest.approx(0.2)
-    assert len(images._images) == 2
+    assert len(icons._images) == 2
 
 
 def test_a_and_b_of_a_stroke_change_one_picture() -> None:
     current.take("Scrape", heard(0.25))
     PREVIEW.kept["Scrape"] = heard(0.75)
-    (picture,) = images._images.values()
+    (picture,) = icons._images.values()
     for shade in (0.75, 0.25):  # kept as bytes
         assert current.switch_kept("Scrape")
         assert picture.image_pixels_float[0] == pytest.approx(shade, abs=0.01)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from hnf_blender.state import texts
 from hnf_blender.touch.status import Freshness, StrokeStatus
-from hnf_blender.ui import texts
 from hnf_blender.ui.materials_panel import alike
 
 LONG = "A stroke along the very long seam of the left armrest"

@@ -19,10 +19,11 @@ from hnf_blender.prefs import HnfPreferences
 from hnf_blender.preview.facts import PREVIEW, PreviewFacts
 from hnf_blender.props.scene import active_stroke
 from hnf_blender.rooms import classes_of
+from hnf_blender.state import texts
 from hnf_blender.state.session import STATE, JobStatus, LastJob, PlanLine, PlanView
 from hnf_blender.state.settings import Settings, settings
 from hnf_blender.touch.status import Freshness, StrokeStatus
-from hnf_blender.ui import stroke_list, texts
+from hnf_blender.ui import stroke_list
 from hnf_core.action.primitives import PRIMITIVES
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -351,7 +351,7 @@ def test_a_force_that_is_not_keyed_gets_two_keys_for_the_graph():
 
 
 def test_the_overlay_follows_the_force_and_the_playhead():
-    from hnf_blender.ui.overlay_paths import overlay_path
+    from hnf_blender.tool.overlay_paths import overlay_path
     from hnf_core.export.force_colour import force_colour
 
     plane = add_plane()

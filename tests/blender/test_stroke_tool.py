@@ -272,7 +272,7 @@ def desk():
 
 @pytest.fixture
 def pen(desk):
-    from hnf_blender.tool.pen import Pen
+    from hnf_blender.ops.pen import Pen
 
     pen = Pen(desk.context, lambda pressure, is_pen: pressure)
     yield pen

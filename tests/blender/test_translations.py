@@ -11,8 +11,8 @@ from ui_strings import strings_of_classes, strings_of_sources, untranslated_repo
 import hnf_blender
 from hnf_blender import translations
 from hnf_blender.ops.materials import library_items
+from hnf_blender.state import texts
 from hnf_blender.touch.inputs import SAME_SURFACE, WORDS
-from hnf_blender.ui import texts
 from hnf_core.actuators.profile import PROFILES
 
 GERMAN = translations.words("de_DE")

@@ -1,5 +1,5 @@
-"""No file of the library or the add-on needs, by whatever way, a file that needs it: imports inside functions and for
-types alone count as well, since a reader has to follow those too."""
+"""No file of the library or the add-on needs, by whatever way, a file that needs it, and no room a room: imports inside
+functions and for types alone count as well, since a reader has to follow those too."""
 
 from __future__ import annotations
 
@@ -49,6 +49,26 @@ def circle(sources: Mapping[str, str]) -> list[str]:
         for name, source in sources.items()
         if name not in folders
     }
+    return in_turn(graph)
+
+
+def circle_of_rooms(sources: Mapping[str, str]) -> list[str]:
+    """The same of rooms: the folders, and the single files, in a package."""
+
+    def room(name: str) -> str:
+        return ".".join(name.split(".")[:2])
+
+    folders = {name for name in sources if any(other.startswith(f"{name}.") for other in sources)}
+    graph: dict[str, set[str]] = {}
+    for name, source in sources.items():
+        found = {room(each) for each in needed(name, source, sources, is_folder=name in folders)}
+        if name not in PACKAGES:
+            graph.setdefault(room(name), set()).update(found - {room(name), *PACKAGES})
+    return in_turn(graph)
+
+
+def in_turn(graph: Mapping[str, set[str]]) -> list[str]:
+    """Those that need one another in turn, the first one again at the end."""
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
@@ -60,6 +80,14 @@ def test_nobody_needs_what_needs_it() -> None:
     sources = modules(ROOT)
     assert len(sources) > 500
     assert circle(sources) == []
+    assert circle_of_rooms(sources) == []
+
+
+def test_a_circle_of_rooms_is_seen_where_no_file_is_in_one() -> None:
+    sources = {"hnf_core": "", "hnf_core.one": "", "hnf_core.one.a": "", "hnf_core.one.b": "from ..other.a import A"}
+    sources |= {"hnf_core.other": "", "hnf_core.other.a": "", "hnf_core.other.b": "def f():\n    from ..one.a import A"}
+    assert circle(sources) == []
+    assert set(circle_of_rooms(sources)) == {"hnf_core.one", "hnf_core.other"}
 
 
 @pytest.mark.parametrize(

@@ -66,7 +66,7 @@ def timers():
 def at_rest(stage):
     """Once what runs a single time, soon after a change, has run."""
     yield from stage.until(
-        "nothing waits to be computed", lambda: not bpy.app.timers.is_registered(ours("ui.overlay")._refresh)
+        "nothing waits to be computed", lambda: not bpy.app.timers.is_registered(ours("tool.overlay")._refresh)
     )
 
 
@@ -119,7 +119,7 @@ def check_switched_off_it_leaves_nothing(stage):
 
     stage.expect("something is there while it is on", left_behind())
     stage.expect("timers among it", len(timers()) >= 2, timers())
-    overlay = ours("ui.overlay").OVERLAY.handle
+    overlay = ours("tool.overlay").OVERLAY.handle
     addon_utils.disable(MODULE)
     yield 0.3
     stage.expect("it draws nothing while it is off", not is_drawn(overlay))

@@ -20,8 +20,8 @@ def _load() -> None:
     from hnf_core.field.weights import load_field
     from hnf_core.material.library import load_library
 
-    from ..jobs import running  # noqa: F401  # all that a look or a bake imports
     from ..touch.seeing import Seeing
+    from . import running  # noqa: F401  # all that a look or a bake imports
 
     load_field()
     load_library()

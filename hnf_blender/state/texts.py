@@ -7,10 +7,14 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from ..state.session import JobStatus, PlanLine, PlanView
 from ..touch.status import Freshness, StrokeStatus
 from ..translations import tr
+from .session import JobStatus, PlanLine, PlanView
 
+CHARACTER_PX = 6.6
+"""Mean width of a character of Blender's interface font at resolution scale 1."""
+MARGIN_PX = 78
+"""What is no text in a line of a boxed label: borders, the icon, the column of tabs."""
 ELLIPSIS = "…"
 LOOKS = {
     Freshness.UNKNOWN: ("QUESTION", "Not checked yet"),

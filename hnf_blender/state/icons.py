@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .pictures import Rgba, Theme
+    import numpy as np
+    from numpy.typing import NDArray
 
 _images: Any = None
 
 
-def show(name: str, picture: Rgba) -> int:
+def show(name: str, picture: NDArray[np.float32]) -> int:
     """Put a picture (h, w, 4), bottom row first, under name; its icon id, 0 without a window."""
     global _images
     import bpy.utils.previews
@@ -31,12 +32,3 @@ def release() -> None:
 
         bpy.utils.previews.remove(_images)
         _images = None
-
-
-def theme_of(context: Any) -> Theme:
-    """Dark or light, by the text of Blender's own buttons."""
-    from .pictures import DARK, LIGHT
-
-    themes = context.preferences.themes
-    text = themes[0].user_interface.wcol_regular.text if len(themes) else (1.0, 1.0, 1.0)
-    return DARK if sum(text[:3]) / 3.0 > 0.5 else LIGHT
