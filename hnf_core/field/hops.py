@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernel.hop import Piece
+from ..kernel.hop import Piece, TimeHop
 from .band_waves import WavePlan, complex_waves, real_waves, wave_plan
 from .carriers import ARC_BLOCK, ARC_PER_OCTAVE, ARC_STREAM, MODEL_RATE_HZ, TIME_BLOCK, Carriers
 from .noise import Bins, band_bins, bins_of, crossfade_window
@@ -58,12 +58,11 @@ def time_levels(carriers: Carriers) -> tuple[slice, ...]:
 
 
 @lru_cache(maxsize=KEPT_TIME_HOPS)
-def time_hop(carriers: Carriers, seed: int, hop: int) -> tuple[Float32, ...]:
+def time_hop(carriers: Carriers, seed: int, hop: int) -> TimeHop:
     """At each level its carriers, (bands, MARGINS[level] + HOP / 2^level + MARGINS[level])."""
     one, two, three, four = (_time_block(carriers, seed, hop + shift) for shift in (-2, -1, 0, 1))
-    return tuple(
-        _joined(one[level], two[level], three[level], four[level], margin) for level, margin in enumerate(MARGINS)
-    )
+    levels = zip(one, two, three, four, MARGINS, strict=True)
+    return TimeHop.of(tuple(_joined(*each) for each in levels))
 
 
 def _joined(one: Float32, two: Float32, three: Float32, four: Float32, margin: int) -> Float32:

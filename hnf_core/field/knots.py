@@ -20,15 +20,17 @@ class Knots:
     at: Samples
     amplitude: NDArray[np.floating[Any]]
 
-    def rows(self, first: int, last: int) -> slice:
-        """Those that say what happens at samples first … last, two at least."""
-        low = max(int(np.searchsorted(self.at, first, side="right")) - 1, 0)
-        high = min(int(np.searchsorted(self.at, last, side="left")) + 1, len(self.at))
-        return slice(min(low, len(self.at) - 2), max(high, 2))
+    def spans(self, first: Samples, last: Samples) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Those that say what happens at samples first … last of many stretches (n,), two at least: where they begin,
+        and where they end."""
+        low = np.maximum(np.searchsorted(self.at, first, side="right") - 1, 0)
+        high = np.minimum(np.searchsorted(self.at, last, side="left") + 1, len(self.at))
+        return np.minimum(low, len(self.at) - 2), np.maximum(high, 2)
 
     def around(self, first: int, last: int) -> Knots:
-        """Those rows alone, in float32."""
-        rows = self.rows(first, last)
+        """Those of one stretch alone, in float32."""
+        low, high = self.spans(np.array([first]), np.array([last]))
+        rows = slice(int(low[0]), int(high[0]))
         return Knots(self.at[rows], np.ascontiguousarray(self.amplitude[rows], dtype=np.float32))
 
     def select_carriers(self, carriers: slice) -> Knots:

@@ -255,8 +255,9 @@ def prepare_within(
 def _remembered(contact: NDArray[np.bool_], states: int) -> NDArray[np.bool_]:
     """(n,) whether a state, the next one, or any of so many before it and one more touches."""
     touched = np.concatenate([[0], np.cumsum(contact)])
-    at = np.arange(len(contact))
-    return np.asarray(touched[np.minimum(at + 2, len(contact))] > touched[np.maximum(at - states - 1, 0)])
+    by_next = np.append(touched[2:], touched[-1])
+    before = np.concatenate([np.zeros(states + 1, dtype=touched.dtype), touched])[: len(contact)]
+    return np.asarray(by_next > before)
 
 
 def _differ(action: Action, other: Action, rows: slice) -> bool:

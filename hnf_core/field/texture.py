@@ -60,10 +60,10 @@ def texture_hops(knots: Knots, carriers: Carriers, seed: int, place: Float, hops
         return np.concatenate(found)
     begin = hops.start * HOP - REACH
     near = knots.around(begin, begin + len(place))
-    sounds = near.amplitude[:, carriers.time_slice].any(axis=1)
+    sounds = _sounding(near, near.amplitude[:, carriers.time_slice].any(axis=1), hops)
     return kernel_hop.hops(
         compiled, hop_tables(carriers), near.at, near.amplitude, hops.start * HOP, np.ascontiguousarray(place),
-        [time_hop(carriers, seed, hop) if _sounds(near, sounds, hop) else None for hop in hops],
+        [time_hop(carriers, seed, hop) if each else None for hop, each in zip(hops, sounds, strict=True)],
         lambda octave, number: arc_hop(carriers, seed, octave, number),
     )  # fmt: skip
 
@@ -73,10 +73,12 @@ def _about(place: Float, hop: int) -> Float:
     return place[hop * HOP : (hop + 1) * HOP + 2 * REACH]
 
 
-def _sounds(knots: Knots, loud: NDArray[np.bool_], hop: int) -> bool:
-    """Whether any of the knots that say what happens in a hop is loud (m,)."""
-    begin = hop * HOP - REACH
-    return bool(loud[knots.rows(begin, begin + HOP + 2 * REACH)].any())
+def _sounding(knots: Knots, loud: NDArray[np.bool_], hops: range) -> list[bool]:
+    """Of each hop, whether any of the knots that say what happens in it is loud (m,)."""
+    begin = HOP * np.arange(hops.start, hops.stop) - REACH
+    first, last = knots.spans(begin, begin + HOP + 2 * REACH)
+    so_far = np.concatenate([[0], np.cumsum(loud)])
+    return list((so_far[last] > so_far[first]).tolist())
 
 
 def _hop(knots: Knots, carriers: Carriers, seed: int, place: Float, hop: int) -> Float:
@@ -87,7 +89,8 @@ def _hop(knots: Knots, carriers: Carriers, seed: int, place: Float, hop: int) ->
     when = _Interpolation(begin, *near.between(begin + np.arange(len(place))))
     rates = _MultirateSum(first)
     if carriers.time_count and np.any(near.amplitude[:, carriers.time_slice]):
-        for level, (bands, waves) in enumerate(zip(time_levels(carriers), time_hop(carriers, seed, hop), strict=True)):
+        found = time_hop(carriers, seed, hop).waves
+        for level, (bands, waves) in enumerate(zip(time_levels(carriers), found, strict=True)):
             start = first - (MARGINS[level] << level)
             samples = when.at(start, 1 << level, waves.shape[1])
             rates.add(level, start, _faded(near.amplitude[:, carriers.time_slice][:, bands], waves, samples))

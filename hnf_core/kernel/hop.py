@@ -44,6 +44,18 @@ class Piece(NamedTuple):
         return Piece(waves, address(waves, np.complex64))
 
 
+class TimeHop(NamedTuple):
+    """Carriers in time of one hop. waves: per level (bands, samples), contiguous. addresses: a table of where each
+    begins, worked out once."""
+
+    waves: tuple[Float32, ...]
+    addresses: bytes
+
+    @staticmethod
+    def of(waves: tuple[Float32, ...]) -> TimeHop:
+        return TimeHop(waves, pointers([address(each, np.float32) for each in waves]))
+
+
 class _Struct(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_int64) for name in _COUNTS),
@@ -88,6 +100,7 @@ class HopTables:
         fits &= all(int(each) << level <= self.reach for level, each in enumerate(margin))
         if not fits:
             raise ValueError(f"a hop of {self.hop} samples at {self.levels} rates with margins {margin.tolist()}")
+        self.time_shapes = list(zip(self.time_bands, self.kept, strict=True))
         self.columns = max(
             int(numbers["arc_first"]) + self.octaves * self.bands,
             int(numbers["time_first"]) + int((time_band + time_bands).max(initial=0)),
@@ -100,13 +113,13 @@ class HopTables:
 
 def hops(
     kernel: ctypes.CDLL, tables: HopTables, at: Integers, amplitude: Float32, first: int, place: Float,
-    waves: Sequence[Sequence[Float32] | None], piece: Callable[[int, int], Piece],
+    waves: Sequence[TimeHop | None], piece: Callable[[int, int], Piece],
 ) -> Float:  # fmt: skip
     """(n · hop,) Σ_k A_k c_k from sample `first` on, in n hops, each as it is alone.
 
-    at: (m,) ascending; amplitude: (m, K) there. place: (reach + n · hop + reach,) s [m]. waves: of each hop, per level
-    (bands, samples) of the carriers in time; None where they are silent. piece: (octave, number) → its cells. Raises
-    ValueError where these do not fit, or a place is not finite.
+    at: (m,) ascending; amplitude: (m, K) there. place: (reach + n · hop + reach,) s [m]. waves: the carriers in time of
+    each hop; None where they are silent. piece: (octave, number) → its cells. Raises ValueError where these do not fit,
+    or a place is not finite.
     """
     _extent(tables, place)
     count = len(waves)
@@ -208,15 +221,17 @@ def _planned(
 def _gathered(tables: HopTables, readings: Integers, piece: Callable[[int, int], Piece]) -> list[Piece]:
     """The pieces of all readings, which are told where theirs begin."""
     table: list[Piece] = []
+    begun: list[int] = []
     met: dict[tuple[int, int], Piece] = {}
     cells = tables.piece_cells
-    for reading, (octave, first, last) in enumerate(readings[:, [0, _FIRST_CELL, _LAST_CELL]].tolist()):
-        readings[reading, _PIECE:] = len(table), first // cells * cells
+    for octave, first, last in readings[:, [0, _FIRST_CELL, _LAST_CELL]].tolist():
+        begun.append(len(table))
         for number in range(first // cells, last // cells + 1):
             found = met.get((octave, number))
             if found is None:
                 found = met[octave, number] = _checked(tables, piece(octave, number))
             table.append(found)
+    readings[:, _PIECE], readings[:, _PIECE + 1] = begun, readings[:, _FIRST_CELL] // cells * cells
     return table
 
 
@@ -227,13 +242,13 @@ def _checked(tables: HopTables, piece: Piece) -> Piece:
     return piece
 
 
-def _waves(tables: HopTables, waves: Sequence[Float32] | None) -> bytes:
+def _waves(tables: HopTables, waves: TimeHop | None) -> bytes:
     if waves is None:
         return bytes(tables.levels * struct.calcsize("P"))
-    shapes = [each.shape for each in waves]
-    if shapes != list(zip(tables.time_bands, tables.kept, strict=True)):
+    shapes = [each.shape for each in waves.waves]
+    if shapes != tables.time_shapes:
         raise ValueError(f"carriers in time of {shapes}")
-    return pointers([address(each, np.float32) for each in waves])
+    return waves.addresses
 
 
 def _of_rows(amplitude: Float32) -> tuple[int, int, int]:

@@ -34,7 +34,7 @@ from hnf_core.kernel import hop as kernel_hop
 from hnf_core.kernel import library
 from hnf_core.kernel.contact import FEATURES, TOUCH, Tables, between_rows
 from hnf_core.kernel.contact import linear_contact as compiled_contact
-from hnf_core.kernel.hop import ArcReader, HopTables, Piece
+from hnf_core.kernel.hop import ArcReader, HopTables, Piece, TimeHop
 from hnf_core.kernel.library import kernel, plainly, why_not
 from hnf_core.kernel.noise import bins as compiled_bins
 from hnf_core.kernel.noise import real_waves as compiled_waves
@@ -301,7 +301,7 @@ def test_a_hop_that_it_would_misread_never_reaches_it():
     compiled = kernel()
     if compiled is not None:
         with pytest.raises(ValueError, match="carriers in time"):
-            asked(kernel=compiled, waves=waves[:2], piece=lambda *_: arc_hop(CARRIERS, 1, 0, 0))
+            asked(kernel=compiled, waves=TimeHop.of(waves.waves[:2]), piece=lambda *_: arc_hop(CARRIERS, 1, 0, 0))
         with pytest.raises(ValueError, match="piece"):
             asked(kernel=compiled, piece=lambda *_: Piece.of(np.ones((24, 9), np.complex64)))
     with pytest.raises(ValueError, match="states"):

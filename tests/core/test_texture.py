@@ -113,7 +113,7 @@ def test_a_jump_of_the_hand_asks_for_no_metres_of_cells():
 @pytest.mark.parametrize("hop", [-3, 0, 12])
 def test_hops_of_time_are_the_carriers(hop):
     assert [each.stop - each.start for each in time_levels(CARRIERS)] == [7, 19, 31]
-    for level, (bands, waves) in enumerate(zip(time_levels(CARRIERS), time_hop(CARRIERS, 3, hop), strict=True)):
+    for level, (bands, waves) in enumerate(zip(time_levels(CARRIERS), time_hop(CARRIERS, 3, hop).waves, strict=True)):
         margin = MARGINS[level] << level
         plain = CARRIERS.time_samples(3, hop * HOP - margin, HOP + 2 * margin)
         np.testing.assert_allclose(waves, plain[bands, :: 1 << level], atol=1e-6)
