@@ -18,10 +18,11 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "core")]
@@ -32,6 +33,10 @@ from hnf_core.actuators.limits import Limits  # noqa: E402
 from hnf_core.actuators.sinks.audio import AudioSink  # noqa: E402
 from hnf_core.actuators.sources.recorded import Recorded  # noqa: E402
 from hnf_core.actuators.stream import Stream  # noqa: E402
+
+Play = Callable[[], Callable[[], None]]
+"""Begins to play, and returns the command that shall end it."""
+Way = Callable[[], AbstractContextManager[Play]]
 
 PLAYS_S = (0.15, 0.4)
 HEARD_S = 0.35
@@ -69,7 +74,7 @@ class Recorder:
         while piece := self._process.stdout.read(4096):
             self._pieces.append((time.monotonic(), piece))
 
-    def end(self) -> tuple[np.ndarray, float]:
+    def end(self) -> tuple[NDArray[np.int16], float]:
         """(counts (n,), the latest moment at which the first of them sounded)."""
         self._process.terminate()
         self._process.wait(GIVEN_UP_S)
@@ -79,8 +84,8 @@ class Recorder:
         return np.frombuffer(b"".join(piece for _, piece in self._pieces), dtype="<i2"), begun
 
 
-def sounded_s(server: SoundServer, play: Callable[[], Callable[[], None]], moment_s: float) -> float:
-    """Seconds from the command until silence. play: begins to, and returns the command that shall end it."""
+def sounded_s(server: SoundServer, play: Play, moment_s: float) -> float:
+    """Seconds from the command, moment_s after play(), until silence."""
     recorder = Recorder(server)
     command = play()
     time.sleep(moment_s)
@@ -91,11 +96,11 @@ def sounded_s(server: SoundServer, play: Callable[[], Callable[[], None]], momen
     loud = np.flatnonzero(counts)
     if len(loud) == 0 or counts[loud[0] : loud[-1]].max() < 1000:
         raise SystemExit("nothing was heard: the sound server is too late for this machine; try again at rest.")
-    return begun + (loud[-1] + 1) / RATE_HZ - at
+    return float(begun + (loud[-1] + 1) / RATE_HZ - at)
 
 
 @contextmanager
-def stopped() -> Iterator[Callable[[], Callable[[], None]]]:
+def stopped() -> Iterator[Play]:
     streams: list[Stream] = []
 
     def play() -> Callable[[], None]:
@@ -109,7 +114,7 @@ def stopped() -> Iterator[Callable[[], Callable[[], None]]]:
 
 
 @contextmanager
-def paused() -> Iterator[Callable[[], Callable[[], None]]]:
+def paused() -> Iterator[Play]:
     with endless() as stream:
 
         def play() -> Callable[[], None]:
@@ -119,9 +124,9 @@ def paused() -> Iterator[Callable[[], Callable[[], None]]]:
         yield play
 
 
-def signalled(number: signal.Signals) -> Callable[[], object]:
+def signalled(number: signal.Signals) -> Way:
     @contextmanager
-    def way() -> Iterator[Callable[[], Callable[[], None]]]:
+    def way() -> Iterator[Play]:
         with subprocess.Popen(
             [sys.executable, "-c", CHILD], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
         ) as child:
@@ -139,7 +144,7 @@ def signalled(number: signal.Signals) -> Callable[[], object]:
     return way
 
 
-WAYS: dict[str, Callable[[], object]] = {
+WAYS: dict[str, Way] = {
     "stop": stopped,
     "pause": paused,
     "Ctrl C": signalled(signal.SIGINT),
@@ -158,7 +163,7 @@ def main(times: int) -> None:
         for name, way in WAYS.items():
             found = []
             for _ in range(times):
-                with way() as play:  # type: ignore[attr-defined]
+                with way() as play:
                     found.append(1e3 * sounded_s(server, play, rng.uniform(*PLAYS_S)))
             middle, p99, beyond = np.median(found), np.percentile(found, 99), sum(each > 20.0 for each in found)
             print(f"| {name} | {middle:.1f} ms | {p99:.1f} | {max(found):.1f} | {beyond} of {times} |", flush=True)
