@@ -214,8 +214,10 @@ class Player:
                 if self._moved is not None:
                     _feel(source, self._moved)
                 self._went_on(Playing(play, stream, source, device, where, gain, ahead * block_s, said))
-        except HnfError:
-            self._still_wanted()  # a stream that was stopped before it began says so in its own way
+        except BaseException as error:
+            stream.stop()  # the device is given back before anybody is told: the next to begin may ask for it
+            if isinstance(error, HnfError):
+                self._still_wanted()  # a stream that was stopped before it began says so in its own way
             raise
         finally:
             with self._lock:
