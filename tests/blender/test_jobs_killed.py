@@ -17,19 +17,21 @@ from hnf_blender.state.session import STATE
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_a_killed_child_is_told_and_costs_nothing(stage, warm_bake) -> None:
-    small_scene()
-    running_now = start()
-    assert reach(stage)
-    if running_now.pid is not None:
-        kill(running_now.pid)
-    ended = finish(running_now)
-    assert not current.is_running()
-    assert STATE.job is None
-    assert STATE.last_job == ended
-    if ended.ok:  # it had said its last word before it was hit
-        assert stage == "saving"
-        assert list(kept()["bakes"]) == ["Along"]
-        return
+    for _ in range(5):
+        small_scene()
+        running_now = start()
+        assert reach(stage)
+        if running_now.pid is not None:
+            kill(running_now.pid)
+        ended = finish(running_now)
+        assert not current.is_running()
+        assert STATE.job is None
+        assert STATE.last_job == ended
+        if not ended.ok:
+            break
+        assert list(kept()["bakes"]) == ["Along"]  # it had said its last word before it was hit
+        if stage == "saving":
+            return
     assert "killed (signal 9)" in ended.message
     assert "Bake again" in ended.message
     assert kept() == NOTHING
