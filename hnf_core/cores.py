@@ -6,6 +6,9 @@ import _thread
 import os
 import threading
 from collections.abc import Callable
+from contextlib import ExitStack
+from functools import partial
+from itertools import pairwise
 
 
 def cores() -> int:
@@ -40,15 +43,13 @@ def beside(work: Callable[[], None]) -> Callable[[], None]:
     return wait
 
 
-def in_halves(work: Callable[[int, int], None], count: int, least: int) -> None:
-    """work(first, last) for all of 0 … count, the later half beside the earlier one where there is another core and
-    either half is `least` or more. Raises what either raises, when both have ended."""
-    middle = (count + 1) // 2
-    if count - middle < least or cores() < 2:
-        work(0, count)
-        return
-    wait = beside(lambda: work(middle, count))
-    try:
-        work(0, middle)
-    finally:
-        wait()
+def in_parts(work: Callable[[int, int], None], count: int, least: int) -> None:
+    """work(first, last) for all of 0 … count, in as many parts of `least` or more as there are cores, side by side.
+    Raises what the first of them raises, when all have ended."""
+    parts = max(min(count // least, cores()), 1)
+    edges = [part * count // parts for part in range(parts + 1)]
+    waits = [beside(partial(work, first, last)) for first, last in pairwise(edges[1:])]
+    with ExitStack() as ended:
+        for wait in reversed(waits):
+            ended.callback(wait)
+        work(0, edges[1])

@@ -19,6 +19,7 @@ from ..field.long_stroke import portions
 from ..field.network import heads
 from ..field.stroke import StrokeInput, uniform_stroke
 from ..field.weights import load_field
+from ..kernel.layers import Layers
 from ..material.library import find
 from .curves import with_exponents
 from .frame import Options, Row
@@ -85,10 +86,15 @@ def scrape(seconds: float, touching_s: float | None = None) -> StrokeInput:
 def counted_states() -> Iterator[list[int]]:
     """Grows by the number of states at every evaluation of F_Θ in a synthesis."""
     counts: list[int] = []
+    asked = Layers.answers
 
     def counted(parameters: Any, layers: int, x: Any) -> Any:
         counts.append(len(x))
         return heads(parameters, layers, x)
 
-    with patch.object(field_module, "heads", counted):
+    def counted_in_kernel(self: Layers, compiled: Any, x: Any) -> Any:
+        counts.append(len(x))
+        return asked(self, compiled, x)
+
+    with patch.object(field_module, "heads", counted), patch.object(Layers, "answers", counted_in_kernel):
         yield counts

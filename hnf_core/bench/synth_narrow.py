@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable
-from unittest.mock import patch
+from functools import partial
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ..field import field as module
+from ..field.field import Emission, Field, evaluate
+from ..field.linear_contact import Condition
 
 
 def has_bfloat16() -> bool:
@@ -17,9 +14,8 @@ def has_bfloat16() -> bool:
     return importlib.util.find_spec("torch") is not None
 
 
-def in_bfloat16(function: Callable[[], NDArray[np.float64]]) -> NDArray[np.float64]:
-    """What function returns where F_Θ's layers and heads keep every number in bfloat16."""
+def evaluate_in_bfloat16(model: Field, condition: Condition) -> Emission:
+    """evaluate(), with every number of F_Θ's layers and heads in bfloat16."""
     from ..training.narrow import heads
 
-    with patch.object(module, "heads", heads):
-        return function()
+    return evaluate(model, condition, partial(heads, model.parameters, model.config.layers))

@@ -9,12 +9,14 @@ FieldConfig.published().
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from ctypes import CDLL
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..kernel.layers import Layers
 from ..kernel.library import kernel
 from .config import FieldConfig
 from .emitter import answered, emission, emitter_of, fits
@@ -54,6 +56,13 @@ class Field:
     metadata: Mapping[str, str] = field(default_factory=dict)
     identity: str = UNTRAINED
 
+    @cached_property
+    def layers(self) -> Layers:
+        """Of float32 parameters, as the kernel takes them: put in order once."""
+        names = [*(f"layer{index}" for index in range(self.config.layers)), "alpha", "sigma"]
+        weights, biases = ([self.parameters[f"{name}.{part}"] for name in names] for part in ("weight", "bias"))
+        return Layers(weights, biases)
+
 
 def same_field(one: Field, other: Field) -> bool:
     """Whether what one made may stand for what the other would make. Two that were never saved have one name."""
@@ -67,14 +76,23 @@ class Emission:
     alpha: Float
     sigma_dt: Float
 
+    def of(self, rows: slice) -> Emission:
+        return Emission(self.alpha[rows], self.sigma_dt[rows])
+
+
+def kernel_for(model: Field) -> CDLL | None:
+    """The kernel, where it knows fields of this form: then what a state gives is the same to the last bit whatever
+    others are asked for beside it."""
+    return kernel() if fits(model.config) and model.parameters["skip"].dtype == np.float32 else None
+
 
 def evaluate(model: Field, condition: Condition, answer: Answer | Answers | None = None) -> Emission:
     """F_Θ at each of n states, in float32 products (as the torch twin). answer: what stands for the network, or what it
     would have answered."""
-    config, weights, compiled = model.config, model.parameters, kernel()
+    config, weights, compiled = model.config, model.parameters, kernel_for(model)
     if answer is None:
-        answer = partial(heads, weights, config.layers)
-    if compiled is None or not fits(config) or weights["skip"].dtype != np.float32:
+        answer = partial(heads, weights, config.layers) if compiled is None else partial(model.layers.answers, compiled)
+    if compiled is None:
         return _in_numpy(model, condition, answer if callable(answer) else lambda _: answer)
     emitter = emitter_of(config, weights["skip"].tobytes(), condition.probe, LOG_AMPLITUDE_CEILING)
     if callable(answer):

@@ -7,14 +7,14 @@ import ctypes
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cores import in_halves
+from ..cores import in_parts
 from .contact import TOUCH, Tables
-from .library import address, pointers
+from .layers import Layers
+from .library import address
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -31,8 +31,8 @@ _NUMBERS = ("quiet_power", "quiet_line_power", "time_share", "ceiling", "pace", 
 _ARRAYS = (
     "token_shift", "token_scale", "time_edge", "skip", "knot", "knot_share", "harmonic_shift", "harmonic_start",
 )  # fmt: skip
-HALF = 128
-"""States that are worth a thread of their own."""
+WORTH_A_CORE = 128
+"""States."""
 _SCALARS = 3
 _ACTION = 4
 
@@ -137,7 +137,7 @@ def inputs(
             ctypes.byref(expected.of(rows).struct(high - low, emitter)),
         )  # fmt: skip
 
-    in_halves(part, states, HALF)
+    in_parts(part, states, WORTH_A_CORE)
     return x, expected
 
 
@@ -156,7 +156,7 @@ def emitted(kernel: ctypes.CDLL, emitter: Emitter, head: Float32, motion: Float,
             address(scratch, np.float64), address(alpha[rows], np.float64),
         )  # fmt: skip
 
-    in_halves(part, states, HALF)
+    in_parts(part, states, WORTH_A_CORE)
     return alpha
 
 
@@ -181,7 +181,7 @@ def answered(kernel: ctypes.CDLL, emitter: Emitter, tokens: Float, motion: Float
             high - low, address(scratch, np.float64), address(alpha[rows], np.float64),
         )  # fmt: skip
 
-    in_halves(part, states, HALF)
+    in_parts(part, states, WORTH_A_CORE)
     return alpha
 
 
@@ -196,44 +196,33 @@ _MOTION, _TOUCH = (struct.Struct(f"{len(names)}d") for names in (MOTION, TOUCH))
 class OneState:
     """F_Θ of one state after another on one material: what it is worked out in is set up once.
 
-    weights (outputs, inputs) and biases: the layers in their order, then the heads of α and of σ. token: (1,
-    TOKEN_DIM); fixed: (1, F). Raises ValueError where these do not fit.
+    layers: of the field. token: (1, TOKEN_DIM); fixed: (1, F). Raises ValueError where these do not fit.
     """
 
-    def __init__(
-        self, emitter: Emitter, weights: Sequence[Float32], biases: Sequence[Float32], token: Float, fixed: Float
-    ) -> None:
-        shapes = [each.shape for each in weights]
-        hidden = shapes[-3][0] if len(shapes) > 2 else shapes[0][1]
-        chained = all(one[0] == other[1] for one, other in pairwise(shapes[:-2]))
-        fits = len(weights) == len(biases) >= 2 and chained and shapes[-1][1] == shapes[-2][1] == hidden
-        fits = fits and shapes[0][1] == emitter.inputs and shapes[-2][0] == emitter.outputs
-        if not fits or any(len(bias) != shape[0] for bias, shape in zip(biases, shapes, strict=True)):
-            raise ValueError(f"layers of {shapes} for {emitter.inputs} inputs and {emitter.outputs} outputs")
+    def __init__(self, emitter: Emitter, layers: Layers, token: Float, fixed: Float) -> None:
+        if (layers.inputs, layers.outputs) != (emitter.inputs, emitter.outputs):
+            raise ValueError(
+                f"layers from {layers.inputs} to {layers.outputs} numbers for {emitter.inputs} inputs and "
+                f"{emitter.outputs} outputs"
+            )
         self._motion, self._touch = np.ones((1, len(MOTION))), np.ones((1, len(TOUCH)))
         _check(emitter, token, fixed, self._motion, self._touch)
         x, expected = np.empty((1, emitter.inputs), dtype=np.float32), Expected.empty(1, emitter)
-        widths = np.array([shapes[0][1], *(shape[0] for shape in shapes)], dtype=np.int64)
-        room = np.empty(max(emitter.room, emitter.emitted_room))
-        layers_room = np.empty(2 * int(widths[:-2].max()), dtype=np.float32)
-        head, self._sigma = (np.empty(shape[0], dtype=np.float32) for shape in shapes[-2:])
+        room, layers_room = np.empty(max(emitter.room, emitter.emitted_room)), layers.room(1)
+        head, self._sigma = (np.empty((1, n), dtype=np.float32) for n in (layers.outputs, layers.densities))
         self._alpha, told = np.empty(emitter.carriers), expected.struct(1, emitter)
         tables, own = ctypes.byref(emitter.tables.struct), ctypes.byref(emitter.struct)
-        scratch, motion, inputs_at = (address(each, each.dtype) for each in (room, self._motion, x))
+        scratch, motion = address(room, np.float64), address(self._motion, np.float64)
         self._inputs = (
             tables, own, address(token, np.float64), token.shape[1], address(fixed, np.float64), motion,
-            address(self._touch, np.float64), 1, scratch, inputs_at, ctypes.byref(told),
+            address(self._touch, np.float64), 1, scratch, address(x, np.float32), ctypes.byref(told),
         )  # fmt: skip
-        self._layers = (
-            *(pointers([address(each, np.float32) for each in some]) for some in (weights, biases)),
-            address(widths, np.int64), len(weights) - 2, inputs_at, address(layers_room, np.float32),
-            address(head, np.float32), address(self._sigma, np.float32),
-        )  # fmt: skip
+        self._layers = layers.call(x, layers_room, head, self._sigma)
         self._emitted = (
             tables, own, address(head, np.float32), motion, ctypes.byref(told), 1, scratch,
             address(self._alpha, np.float64),
         )  # fmt: skip
-        self._kept = (emitter, *weights, *biases, token, fixed, x, expected, told, widths, room, layers_room, head)
+        self._kept = (emitter, layers, token, fixed, x, expected, told, room, layers_room, head)
 
     def at(self, kernel: ctypes.CDLL, motion: Sequence[float], touch: Sequence[float]) -> tuple[Float, Float32]:
         """α (K,) of a state, 0 where nothing moves, and what the σ head answers (N,): both are overwritten by the next
@@ -243,7 +232,7 @@ class OneState:
         kernel.hnf_inputs(*self._inputs)
         kernel.hnf_layers(*self._layers)
         kernel.hnf_emitted(*self._emitted)
-        return self._alpha, self._sigma
+        return self._alpha, self._sigma[0]
 
 
 def _check(emitter: Emitter, tokens: Float, fixed: Float | None, motion: Float, touch: Float) -> None:

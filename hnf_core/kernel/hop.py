@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cores import in_halves
+from ..cores import in_parts
 from .library import address, pointers, rows
 
 Float = NDArray[np.float64]
@@ -145,7 +145,7 @@ def hops(
             address(counts[low:], np.int64), address(scratch, np.float64), address(out[low:], np.float64),
         )  # fmt: skip
 
-    in_halves(part, count, HALF)
+    in_parts(part, count, HALF)
     return out.reshape(-1)
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ..blas import one_blas_thread
 
-ABI = 6
+ABI = 7
 """hnf_kernel.h's HNF_ABI: another one has other functions."""
 SWITCH = "HNF_KERNEL"
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
@@ -46,7 +46,9 @@ _SIGNATURES = {
         _Pointer, _Pointer, _Pointer, _Integer, _Pointer, _Pointer, _Pointer, _Integer, _Pointer, _Pointer, _Pointer,
     ),
     "hnf_emitted": (_Pointer, _Pointer, _Pointer, _Pointer, _Pointer, _Integer, _Pointer, _Pointer),
-    "hnf_layers": (_Pointer, _Pointer, _Pointer, _Integer, _Pointer, _Pointer, _Pointer, _Pointer),
+    "hnf_layers": (
+        _Pointer, _Pointer, _Pointer, _Integer, _Pointer, _Integer, _Pointer, _Pointer, _Pointer,
+    ),
     "hnf_between_rows": (_Pointer, _Integer, _Pointer, _Pointer, _Pointer, _Integer, _Integer, _Pointer),
     "hnf_bends": (_Pointer, _Integer, _Integer, _Number, _Pointer),
     "hnf_bins": (_Word, _Word, _Word, _Integer, _Integer, _Integer, _Pointer, _Pointer),

@@ -19,6 +19,7 @@ from hnf_core.bench.synth import forget_carriers, ten_seconds
 from hnf_core.field import texture
 from hnf_core.field.adaptive import Sampled, accumulated
 from hnf_core.field.band_waves import complex_waves, real_waves, wave_plan
+from hnf_core.field.blocks import rendered
 from hnf_core.field.carriers import Carriers
 from hnf_core.field.config import FieldConfig
 from hnf_core.field.hops import arc_hop, time_hop
@@ -26,7 +27,7 @@ from hnf_core.field.knots import Knots
 from hnf_core.field.linear_contact import linear_contact
 from hnf_core.field.noise import band_bins, bins_of, crossfade_window
 from hnf_core.field.path import position_beyond
-from hnf_core.field.synthesis import prepare, rendered
+from hnf_core.field.prepared import prepare
 from hnf_core.field.texture import REACH, texture_hops
 from hnf_core.field.timeline import condition_at, states_of
 from hnf_core.field.weights import load_field
@@ -112,25 +113,30 @@ def test_a_stroke_rendered_on_two_cores_is_that_of_one(monkeypatch):
     assert rendered(prepared, 5000, 31_000).tobytes() == wanted[5000:31_000].tobytes()
 
 
-@pytest.mark.parametrize(("cores", "count", "threads"), [(1, 9, 1), (2, 9, 2), (2, 5, 1), (2, 0, 1)])
-def test_halves_are_all_of_it_and_tell_what_went_wrong(monkeypatch, cores, count, threads):
+@pytest.mark.parametrize(
+    ("cores", "count", "threads"), [(1, 9, 1), (2, 9, 2), (2, 5, 1), (2, 0, 1), (3, 9, 3), (4, 9, 3), (3, 6, 2)]
+)
+def test_parts_are_all_of_it_and_tell_what_went_wrong(monkeypatch, cores, count, threads):
     monkeypatch.setattr(both_cores, "cores", lambda: cores)
-    done, who = np.zeros(count), set()
+    done, at_once = np.zeros(count), []
+    meeting = threading.Barrier(threads)
 
     def work(low, high):
-        who.add(threading.get_ident())
+        at_once.append(high - low)
         done[low:high] += 1.0
+        meeting.wait(30.0)
         if high == 9 and count == 9 and failing:
-            raise ValueError("the later half")
+            raise ValueError("the last part")
 
     failing = False
-    both_cores.in_halves(work, count, 3)
+    both_cores.in_parts(work, count, 3)
     assert (done == 1.0).all()
-    assert len(who) == threads
+    assert len(at_once) == threads
+    assert threads == 1 or min(at_once) >= 3
     failing = True
     if count == 9:
-        with pytest.raises(ValueError, match="later half"):
-            both_cores.in_halves(work, count, 3)
+        with pytest.raises(ValueError, match="last part"):
+            both_cores.in_parts(work, count, 3)
 
 
 @needs_kernel

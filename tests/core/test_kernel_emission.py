@@ -23,6 +23,7 @@ from hnf_core.field.weights import load_field
 from hnf_core.kernel import emission
 from hnf_core.kernel.contact import TOUCH
 from hnf_core.kernel.emission import MOTION, Emitter, Expected, OneState
+from hnf_core.kernel.layers import Layers
 from hnf_core.kernel.library import kernel, plainly, why_not
 from hnf_core.material.library import find, load_library
 from hnf_core.material.mechanics import Mechanics
@@ -162,16 +163,33 @@ def test_what_the_kernel_would_misread_never_reaches_it():
         emitter_of(config, skip[4:], "pen", 6.0)
     shapes = (3, emitter.inputs), (emitter.outputs, 3), (5, 3)
     weights, biases = ([np.ones(each, np.float32) for each in some] for some in (shapes, [s[0] for s in shapes]))
-    state = emitter, weights, biases, tokens[:1], fixed[:1]
-    OneState(*state)
-    for at, wrong in (
-        (1, weights[::-1]), (2, biases[::-1]), (1, weights[1:]), (3, tokens[:1, 1:]), (4, fixed),
-        (1, [np.ones((3, 2), np.float32), *weights[1:]]), (1, [weights[0], np.ones((4, 3), np.float32), weights[2]]),
+    layers = Layers(weights, biases)
+    for wrong in (
+        (weights[::-1], biases), (weights, biases[::-1]), (weights[1:], biases), (weights[:1], biases[:1]),
+        ([np.ones((3, 2), np.float32), weights[1][:, :2], weights[2]], biases),
+        (weights, [each[1:] for each in biases]), ([weights[0], weights[1], weights[2][:, 1:]], biases),
     ):  # fmt: skip
+        with pytest.raises(ValueError, match="layers"):
+            Layers(*wrong)
+    for wrong in (
+        ([each.astype(float) for each in weights], biases),
+        (weights, [each.astype(float) for each in biases]),
+    ):
+        with pytest.raises(TypeError, match="float32"):
+            Layers(*wrong)
+    x = np.ones((4, emitter.inputs), np.float32)
+    for wrong in (x[:, 1:], x[0]):
+        with pytest.raises(ValueError, match="inputs"):
+            layers.answers(none, wrong)
+    for wrong in (x.astype(float), np.asfortranarray(x)):
+        with pytest.raises(TypeError, match="float32"):
+            layers.answers(none, wrong)
+    state = emitter, layers, tokens[:1], fixed[:1]
+    OneState(*state)
+    narrower = Layers([weights[0][:, 1:], *weights[1:]], biases)
+    for at, wrong in ((1, narrower), (2, tokens[:1, 1:]), (3, fixed)):
         with pytest.raises(ValueError, match=r"layers|tokens"):
             OneState(*state[:at], wrong, *state[at + 1 :])
-    with pytest.raises(TypeError, match="float32"):
-        OneState(emitter, [each.astype(float) for each in weights], *state[2:])
     with pytest.raises(struct.error):
         OneState(*state).at(none, np.ones(len(MOTION) - 1), np.ones(len(TOUCH)))
 

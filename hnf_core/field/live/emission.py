@@ -181,11 +181,9 @@ class CompiledEmission:
     """The same by the kernel."""
 
     def __init__(self, field: Field, token: Float, mechanics: Mechanics, probe: str) -> None:
-        weights = {name: np.ascontiguousarray(each, dtype=np.float32) for name, each in field.parameters.items()}
-        names = [*(f"layer{index}" for index in range(field.config.layers)), "alpha", "sigma"]
-        emitter = emitter_of(field.config, weights["skip"].tobytes(), probe, LOG_AMPLITUDE_CEILING)
-        matrices, biases = ([weights[f"{name}.{part}"] for name in names] for part in ("weight", "bias"))
-        self._state = OneState(emitter, matrices, biases, token, np.array([fixed_inputs(mechanics, probe)]))
+        skip = np.asarray(field.parameters["skip"], dtype=np.float32)
+        emitter = emitter_of(field.config, skip.tobytes(), probe, LOG_AMPLITUDE_CEILING)
+        self._state = OneState(emitter, field.layers, token, np.array([fixed_inputs(mechanics, probe)]))
         self._linear = LiveLinear(token[0], mechanics, PROBES[probe], field.config.carriers)
         self._mass = PROBES[probe].mass_kg
 

@@ -6,7 +6,7 @@
 #include "contact.h"
 #include "elementary.h"
 #include "fades.h"
-#include "sums.h"
+#include "hnf_kernel.h"
 
 static inline double log_amplitude(double power, double quiet) { return 0.5 * log_of(power + quiet); }
 
@@ -157,41 +157,4 @@ void hnf_emitted(const hnf_tables *t, const hnf_emitter *e, const float *head, c
             out[k] = sqrt(noise * noise + tones[k]) * m->moving * arc_gain(t->kappa[k] * m->speed);
         }
     }
-}
-
-/* out = W x + b, W (rows, columns). */
-static void layer(const float *weight, const float *bias, int64_t rows, int64_t columns, const float *x, float *out)
-{
-    for (int64_t row = 0; row < rows; row++, weight += columns) {
-        lanes one = {0}, two = {0};
-        int64_t k = 0;
-        for (; k + 2 * LANES <= columns; k += 2 * LANES) {
-            one += *(const lanes *)(weight + k) * *(const lanes *)(x + k);
-            two += *(const lanes *)(weight + k + LANES) * *(const lanes *)(x + k + LANES);
-        }
-        one += two;
-        float sum = ((one[0] + one[4]) + (one[2] + one[6])) + ((one[1] + one[5]) + (one[3] + one[7]));
-        for (; k < columns; k++)
-            sum += weight[k] * x[k];
-        out[row] = sum + bias[row];
-    }
-}
-
-/* One state through `layers` ReLU layers and two heads. weights, biases: (layers + 2), the heads last, that of alpha
- * first. widths: (layers + 3) of the inputs, of each layer, and of the heads. scratch: two of the widest layer. */
-void hnf_layers(const float *const *weights, const float *const *biases, const int64_t *widths, int64_t layers,
-                const float *x, float *scratch, float *head, float *sigma)
-{
-    int64_t widest = 0;
-    for (int64_t i = 0; i <= layers; i++)
-        widest = widths[i] > widest ? widths[i] : widest;
-    for (int64_t i = 0; i < layers; i++) {
-        float *out = scratch + (i % 2) * widest;
-        layer(weights[i], biases[i], widths[i + 1], widths[i], x, out);
-        for (int64_t k = 0; k < widths[i + 1]; k++)
-            out[k] = out[k] > 0.0f ? out[k] : 0.0f;
-        x = out;
-    }
-    layer(weights[layers], biases[layers], widths[layers + 1], widths[layers], x, head);
-    layer(weights[layers + 1], biases[layers + 1], widths[layers + 2], widths[layers], x, sigma);
 }

@@ -15,7 +15,7 @@
 #endif
 
 /* Raised whenever a signature or a meaning changes; library.py asks. */
-#define HNF_ABI 6
+#define HNF_ABI 7
 
 typedef struct { float re, im; } hnf_complex;
 
@@ -135,8 +135,10 @@ HNF_EXPORT void hnf_inputs(const hnf_tables *tables, const hnf_emitter *emitter,
 HNF_EXPORT void hnf_emitted(const hnf_tables *tables, const hnf_emitter *emitter, const float *head,
                             const hnf_motion *motion, const hnf_expected *expected, int64_t states, double *scratch,
                             double *alpha);
-HNF_EXPORT void hnf_layers(const float *const *weights, const float *const *biases, const int64_t *widths,
-                           int64_t layers, const float *x, float *scratch, float *head, float *sigma);
+
+/* layers.c */
+HNF_EXPORT void hnf_layers(const float *const *panels, const float *const *biases, const int64_t *widths,
+                           int64_t layers, const float *x, int64_t states, float *scratch, float *head, float *sigma);
 
 /* place.c */
 HNF_EXPORT void hnf_place(const double *position, int64_t states, int64_t samples_per_state, int64_t start,

@@ -1,0 +1,104 @@
+"""F_Θ's layers by the compiled kernel: what numpy says, and of each state the same bytes whatever stands beside it."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hnf_core import cores as both_cores
+from hnf_core.field.network import heads
+from hnf_core.field.weights import load_field
+from hnf_core.kernel.layers import AT_ONCE, Layers
+from hnf_core.kernel.library import SUFFIX, _load, kernel, why_not
+
+pytestmark = pytest.mark.skipif(kernel() is None, reason=f"no compiled kernel here: {why_not()}")
+
+
+def builds():
+    """Those that this processor runs: the plain one, and the one with wide vectors."""
+    import hnf_kernel
+
+    folder = Path(hnf_kernel.__file__).parent
+    plain = _load(folder / f"hnf_kernel{SUFFIX}")
+    wide = folder / f"hnf_kernel_wide{SUFFIX}"
+    return [plain, _load(wide)] if plain.hnf_has_wide_vectors() and wide.is_file() else [plain]
+
+
+def network(rng, inputs, hidden, layers, outputs, densities):
+    """The layers, and the same as parameters for numpy."""
+    sizes = [*((hidden, hidden if index else inputs) for index in range(layers))]
+    last = sizes[-1][0] if sizes else inputs
+    sizes += [(outputs, last), (densities, last)]
+    names = [*(f"layer{index}" for index in range(layers)), "alpha", "sigma"]
+    weights = [(rng.standard_normal(size) * np.sqrt(2.0 / size[1])).astype(np.float32) for size in sizes]
+    biases = [0.1 * rng.standard_normal(size[0]).astype(np.float32) for size in sizes]
+    told = {f"{name}.weight": weight for name, weight in zip(names, weights, strict=True)}
+    told |= {f"{name}.bias": bias for name, bias in zip(names, biases, strict=True)}
+    return Layers(weights, biases), told
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(0, 10**6), st.integers(1, 140), st.integers(1, 90), st.integers(0, 4), st.integers(1, 70),
+    st.integers(1, 9), st.integers(0, 40),
+)  # fmt: skip
+def test_they_answer_what_numpy_does(seed, inputs, hidden, layers, outputs, densities, states):
+    rng = np.random.default_rng(seed)
+    compiled, parameters = network(rng, inputs, hidden, layers, outputs, densities)
+    x = rng.standard_normal((states, inputs)).astype(np.float32)
+    wanted = heads(parameters, layers, x)
+    for library in builds():
+        for found, exact in zip(compiled.answers(library, x), wanted, strict=True):
+            assert found.dtype == np.float32
+            assert found.shape == exact.shape
+            np.testing.assert_allclose(found, exact, rtol=1e-4, atol=2e-5 * np.abs(exact).max(initial=1.0))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 90), st.integers(1, 2 * AT_ONCE + 30), st.data())
+def test_a_state_gives_the_same_bytes_alone_and_anywhere_among_others(seed, hidden, states, data):
+    rng = np.random.default_rng(seed)
+    compiled, _ = network(rng, 37, hidden, 3, 41, 5)
+    x = rng.standard_normal((states, 37)).astype(np.float32)
+    few = data.draw(st.integers(1, states))
+    chosen = rng.permutation(states)[:few]
+    for library in builds():
+        whole, part = compiled.answers(library, x), compiled.answers(library, np.ascontiguousarray(x[chosen]))
+        for all_of_them, some in zip(whole, part, strict=True):
+            assert some.tobytes() == all_of_them[chosen].tobytes()
+
+
+def test_the_shipped_field_gives_the_same_bytes_on_any_number_of_cores(monkeypatch):
+    layers = load_field().layers
+    x = np.random.default_rng(1).standard_normal((500, layers.inputs)).astype(np.float32)
+    said = []
+    for cores in (1, 2, 3, 7):
+        monkeypatch.setattr(both_cores, "cores", lambda cores=cores: cores)
+        said.append(b"".join(each.tobytes() for each in layers.answers(kernel(), x)))
+    assert len(set(said)) == 1
+
+
+def test_what_is_no_number_is_answered_with_none():
+    """It goes through a layer: a limit does not make it a zero. And it stays with its own state."""
+    compiled, _ = network(np.random.default_rng(2), 9, 50, 2, 33, 5)
+    x = np.ones((8, 9), np.float32)
+    x[3, 4] = np.nan
+    for library in builds():
+        for each in compiled.answers(library, x):
+            assert np.isnan(each[3]).all()
+            assert np.isfinite(np.delete(each, 3, axis=0)).all()
+
+
+def test_a_copy_of_a_field_has_layers_of_its_own():
+    field = load_field()
+    x = np.ones((3, field.layers.inputs), np.float32)
+    wanted = field.layers.answers(kernel(), x)[0].tobytes()
+    other = copy.deepcopy(field)
+    assert other.layers.panels[0] is not field.layers.panels[0]
+    del field
+    assert other.layers.answers(kernel(), x)[0].tobytes() == wanted
