@@ -21,11 +21,13 @@ from numpy.typing import NDArray
 from precision_tables import HEAD, agreement_rows
 
 from hnf_core.action.smooth import steady_action, wandering_action
+from hnf_core.field.blocks import render_block
 from hnf_core.field.field import Field
+from hnf_core.field.prepared import prepare
 from hnf_core.field.reference import synthesise_reference
 from hnf_core.field.rendering import render, render_weights
 from hnf_core.field.stroke import StrokeInput, uniform_stroke
-from hnf_core.field.synthesis import prepare, render_block, synthesise
+from hnf_core.field.synthesis import synthesise
 from hnf_core.field.weights import load_field
 from hnf_core.material.library import load_library
 from hnf_core.metrics.spectra import welch

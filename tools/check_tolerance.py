@@ -22,11 +22,13 @@ sys.path.insert(0, str(ROOT))
 
 from hnf_core.action.primitive_path import primitive_action  # noqa: E402
 from hnf_core.action.primitives import PRIMITIVES  # noqa: E402
+from hnf_core.field.blocks import contact_term, render_block  # noqa: E402
 from hnf_core.field.field import Field, evaluate  # noqa: E402
+from hnf_core.field.prepared import prepare  # noqa: E402
 from hnf_core.field.reference import carriers_at  # noqa: E402
 from hnf_core.field.rendering import render_weights  # noqa: E402
 from hnf_core.field.stroke import StrokeInput, uniform_stroke  # noqa: E402
-from hnf_core.field.synthesis import contact_term, fallen_short, prepare, render_block  # noqa: E402
+from hnf_core.field.synthesis import fallen_short  # noqa: E402
 from hnf_core.field.timeline import SAMPLES_PER_STATE, condition_at, cubic, sample_count, states_of  # noqa: E402
 from hnf_core.field.weights import load_field  # noqa: E402
 from hnf_core.material.library import load_library  # noqa: E402

@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from hnf_core.action.smooth import wandering_action
 from hnf_core.actuators.limiter import Limiter
 from hnf_core.actuators.profile import GENERIC
+from hnf_core.field.blocks import render_block
 from hnf_core.field.features import Inputs, build_inputs
 from hnf_core.field.field import LOG_AMPLITUDE_CEILING, Emission, Field, accumulate
 from hnf_core.field.linear_contact import Condition
 from hnf_core.field.lines import GAINS, line_power
+from hnf_core.field.prepared import prepare
 from hnf_core.field.resampling import resample
 from hnf_core.field.stroke import StrokeInput, uniform_stroke
-from hnf_core.field.synthesis import prepare, render_block
 from hnf_core.field.timeline import condition_of, states_of
 from hnf_core.material.contact import height_response
 from hnf_core.material.encoder import describe

@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 from hnf_core.bench.frame import Options, Row, Times
 from hnf_core.bench.memory import with_peak
 from hnf_core.errors import HnfError
+from hnf_core.field.blocks import rendered
+from hnf_core.field.prepared import prepare
 from hnf_core.field.stroke import StrokeInput
-from hnf_core.field.synthesis import prepare, rendered
 from hnf_core.field.weights import load_field
 from hnf_core.material.token import LEVELS
 

@@ -20,12 +20,13 @@ from torch import Tensor
 from ..action.action import ACTION_RATE_HZ, Action
 from ..datasets.recording import Recording
 from ..errors import UsageError
+from ..field.blocks import texture_term
 from ..field.carriers import MODEL_RATE_HZ
 from ..field.config import FieldConfig
 from ..field.features import build_inputs
 from ..field.field import Field, initial_parameters
+from ..field.prepared import prepare
 from ..field.stroke import uniform_stroke
-from ..field.synthesis import prepare, texture_term
 from ..field.timeline import SAMPLES_PER_STATE, condition_of
 from ..material.mechanics import Mechanics
 from ..material.token import TOKEN_DIM

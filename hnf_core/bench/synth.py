@@ -16,19 +16,21 @@ from numpy.typing import NDArray
 
 from ..action.action import ACTION_RATE_HZ, Action
 from ..field import hops
+from ..field.blocks import contact_term
 from ..field.carriers import MODEL_RATE_HZ
 from ..field.field import Field
 from ..field.plain import plain_texture
+from ..field.prepared import prepare
 from ..field.reference import synthesise_reference
 from ..field.stroke import StrokeInput, uniform_stroke
-from ..field.synthesis import contact_term, prepare, synthesised
+from ..field.synthesis import synthesised
 from ..field.timeline import sample_count
 from ..field.weights import load_field
 from ..kernel.library import kernel, plainly
 from ..material.library import find
 from .frame import Options, Row, Times, peak_mb
 from .synth_ar import autoregressive
-from .synth_narrow import has_bfloat16, in_bfloat16
+from .synth_narrow import evaluate_in_bfloat16, has_bfloat16
 from .synth_sampled import at_every_sample
 from .synth_table import Grid, from_table, tabulate
 
@@ -147,7 +149,7 @@ def _methods(field: Field, stroke: StrokeInput) -> list[Method]:
         return synthesised(field, stroke, seed, TABLE_TOLERANCE, read)[1]
 
     def narrow(field: Field, stroke: StrokeInput, seed: int) -> Float:
-        return in_bfloat16(lambda: synthesised(field, stroke, seed)[1])
+        return synthesised(field, stroke, seed, emission=evaluate_in_bfloat16)[1]
 
     bfloat16 = Method("every state, bfloat16", narrow, note="F_Θ's layers, by torch; the rest as it is")
 

@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..field.adaptive import Evaluate, Sampled
+from ..field.blocks import rendered
 from ..field.field import Field
 from ..field.noise_ahead import noise_ahead
+from ..field.prepared import prepare_within
 from ..field.stroke import StrokeInput
-from ..field.synthesis import prepare_within, rendered
 from ..field.timeline import states_of
 
 Float = NDArray[np.float64]

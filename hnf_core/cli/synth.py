@@ -22,9 +22,10 @@ from ..export.wav import write_wav
 from ..field.carriers import MODEL_RATE_HZ
 from ..field.field import Field
 from ..field.learned import field_of
+from ..field.prepared import adapts
 from ..field.resampling import FASTEST_HZ, SLOWEST_HZ
 from ..field.stroke import StrokeInput, uniform_stroke
-from ..field.synthesis import adapts, synthesise
+from ..field.synthesis import synthesise
 from ..field.weights import field_for, load_field, own_material
 from ..material.hnf_file import SUFFIX, completed, read_hnf
 from ..material.library import find

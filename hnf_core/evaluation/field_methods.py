@@ -12,8 +12,8 @@ from ..action.action import Action
 from ..baselines.method import Fitted, Form, Specimen
 from ..errors import UsageError
 from ..field.field import Field
+from ..field.many_strokes import synthesise_many
 from ..field.stroke import uniform_stroke
-from ..field.synthesis import synthesise
 from ..material.mechanics import Mechanics
 from ..material.token import TOKEN_DIM
 from .expected_magnitude import synthesise_expected_magnitude
@@ -33,13 +33,12 @@ class FieldFitted:
 
     def render(self, actions: Sequence[Action], seed: int) -> list[Float]:
         """By the product's own synthesis; action i of a call has a seed of its own."""
-        return [self._one(action, _SEEDS_A_CALL * seed + index) for index, action in enumerate(actions)]
-
-    def _one(self, action: Action, seed: int) -> Float:
-        stroke = uniform_stroke(action, self.token, self.mechanics)
+        strokes = [uniform_stroke(action, self.token, self.mechanics) for action in actions]
         if self.form == "expected magnitude":
-            return synthesise_expected_magnitude(self.field, stroke)
-        return synthesise(self.field, stroke, seed=seed).signal.samples.astype(np.float64)
+            return [synthesise_expected_magnitude(self.field, stroke) for stroke in strokes]
+        first = _SEEDS_A_CALL * seed
+        made = synthesise_many(self.field, strokes, seeds=range(first, first + len(strokes)))
+        return [each.signal.samples.astype(np.float64) for each in made]
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 
 from ..kernel.library import one_blas_thread_in_numpy
 from .audible import blocks_of, is_heard
+from .blocks import render_block
 from .contact_filter import LEAD, TAIL
 from .field import Field, same_field
 from .modulation import states_read
 from .noise_ahead import noise_ahead
+from .prepared import Prepared, prepare
 from .stroke import StrokeInput, Synthesis
-from .synthesis import Prepared, prepare, render_block, to_synthesis
+from .synthesis import to_synthesis
 from .timeline import SAMPLES_PER_STATE, states_of
 
 Float = NDArray[np.float64]

@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 from ..action.action import ACTION_RATE_HZ, Action
 from ..errors import UsageError
 from .audible import AFTER_CONTACT_S, BEFORE_CONTACT_S, BLOCK
+from .blocks import rendered
 from .contact_filter import LEAD, TAIL
 from .field import Field
 from .hops import HOP
 from .noise_ahead import noise_ahead
+from .prepared import STATES_AT_ONCE, memory, prepare
 from .stroke import StrokeInput
-from .synthesis import STATES_AT_ONCE, memory, prepare, rendered
 from .timeline import SAMPLES_PER_STATE, sample_count, states_of
 
 Float = NDArray[np.float64]

@@ -30,7 +30,7 @@ CELLS_BEFORE, CELLS_BEHIND = 1, 2
 @contextmanager
 def noise_ahead(config: FieldConfig, seed: int, action: Action, origin: int = 0) -> Iterator[None]:
     """Meanwhile a thread draws the carriers that a stroke will be rendered from, first those that are heard first; it
-    ends with the block. origin: as of synthesis.Prepared.
+    ends with the block. origin: as of prepared.Prepared.
 
     None is begun on a single core, nor without the kernel, since numpy's own way holds the interpreter, nor for a field
     that is rendered plainly. action: at ACTION_RATE_HZ.

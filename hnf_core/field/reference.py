@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from ..action.action import Action
 from ..errors import UsageError
+from .blocks import contact_term
 from .carriers import ARC_BLOCK, TIME_BLOCK, Carriers
 from .field import Field, evaluate
+from .prepared import prepare
 from .rendering import render_weights
 from .stroke import StrokeInput
-from .synthesis import contact_term, prepare
 from .timeline import SAMPLES_PER_STATE, condition_at, cubic, sample_count, states_of
 
 Float = NDArray[np.float64]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..action.action import ACTION_RATE_HZ, Action
 from ..errors import StrokeError
+from ..material.mechanics import Mechanics
 from .carriers import MODEL_RATE_HZ
 from .linear_contact import Condition
 from .stroke import StrokeInput
@@ -52,17 +54,25 @@ def states_of(stroke: StrokeInput) -> tuple[Action, NDArray[np.int32]]:
 
 def condition_of(stroke: StrokeInput, action: Action, token_index: NDArray[np.int32]) -> Condition:
     """F_Θ's condition at every state."""
-    tokens = stroke.tokens.astype(np.float64)[token_index]
+    tokens, (mechanics, of_row) = stroke.tokens.astype(np.float64)[token_index], distinct(stroke.mechanics)
     return Condition(
         tokens,
-        stroke.mechanics,
-        token_index,
+        mechanics,
+        of_row[token_index],
         action.direction,
         action.speed,
         action.force,
         action.contact,
         action.probe,
     )
+
+
+def distinct(mechanics: Sequence[Mechanics]) -> tuple[tuple[Mechanics, ...], NDArray[np.int32]]:
+    """Each once, in the order in which they are met, and (M,) which of them each is: the patches of a surface have a
+    token each and mostly one mechanics."""
+    index: dict[Mechanics, int] = {}
+    of_row = [index.setdefault(each, len(index)) for each in mechanics]
+    return tuple(index), np.array(of_row, dtype=np.int32)
 
 
 def condition_at(
@@ -80,7 +90,8 @@ def condition_at(
     material = token_index[nearest]
     speed, force = (np.interp(place, states, values) for values in (action.speed, action.force))
     tokens, contact = stroke.tokens.astype(np.float64)[material], action.contact[nearest]
-    return Condition(tokens, stroke.mechanics, material, direction, speed, force, contact, action.probe)
+    mechanics, of_row = distinct(stroke.mechanics)
+    return Condition(tokens, mechanics, of_row[material], direction, speed, force, contact, action.probe)
 
 
 def states_in(condition: Condition, rows: slice) -> Condition:

@@ -8,13 +8,14 @@ import numpy as np
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.field import texture
+from hnf_core.field.blocks import contact_term
 from hnf_core.field.knots import Knots
 from hnf_core.field.live.state import LiveState
 from hnf_core.field.live.synthesis import LiveSynthesis
 from hnf_core.field.path import position
 from hnf_core.field.plain import plain_texture, time_term
+from hnf_core.field.prepared import prepare
 from hnf_core.field.stroke import StrokeInput, uniform_stroke
-from hnf_core.field.synthesis import contact_term, prepare
 from hnf_core.field.weights import load_field
 from hnf_core.kernel.library import plainly
 from hnf_core.material.library import find

@@ -13,10 +13,12 @@ from hnf_core.action.primitives import PRIMITIVES
 from hnf_core.bench.synth_sampled import at_every_sample
 from hnf_core.field import adaptive
 from hnf_core.field.adaptive import COARSEST, FINEST, MOST, between, sample_emission
+from hnf_core.field.blocks import render_block, rendered, texture_term
 from hnf_core.field.field import Emission, evaluate
+from hnf_core.field.prepared import prepare, prepare_within
 from hnf_core.field.reference import synthesise_reference
 from hnf_core.field.stroke import HeightProfile, uniform_stroke
-from hnf_core.field.synthesis import prepare, prepare_within, render_block, rendered, synthesise, texture_term
+from hnf_core.field.synthesis import synthesise
 from hnf_core.field.timeline import condition_at, sample_count, states_of
 from hnf_core.field.weights import load_field
 from hnf_core.material.library import find

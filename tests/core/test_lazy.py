@@ -12,7 +12,7 @@ import pytest
 
 from hnf_core.action.action import ACTION_RATE_HZ
 from hnf_core.bench.scale import counted_states, scrape
-from hnf_core.field import synthesis
+from hnf_core.field import blocks, prepared, synthesis
 from hnf_core.field.adaptive import FINEST
 from hnf_core.field.audible import AFTER_CONTACT_S, BLOCK
 from hnf_core.field.carriers import MODEL_RATE_HZ
@@ -20,6 +20,7 @@ from hnf_core.field.long_stroke import portions
 from hnf_core.field.stroke import HeightProfile
 from hnf_core.field.timeline import SAMPLES_PER_STATE
 from hnf_core.field.weights import load_field
+from hnf_core.kernel.library import kernel, plainly, why_not
 
 SEED = 3
 SECONDS = 8
@@ -29,13 +30,13 @@ SECONDS = 8
 def rendered(monkeypatch):
     """First samples and lengths of what the carriers were summed for."""
     spans = []
-    texture = synthesis.texture_term
+    texture = blocks.texture_term
 
     def counted(prepared, start, count):
         spans.append((start, count))
         return texture(prepared, start, count)
 
-    monkeypatch.setattr(synthesis, "texture_term", counted)
+    monkeypatch.setattr(blocks, "texture_term", counted)
     return spans
 
 
@@ -56,14 +57,22 @@ def test_a_hand_that_never_touches_costs_no_sample(rendered):
     assert (made == 0.0).all()
 
 
-def test_a_state_is_evaluated_once_and_those_before_a_portion_again():
+@pytest.mark.skipif(kernel() is None, reason=f"no compiled kernel here: {why_not()}")
+def test_a_state_is_evaluated_once():
     field, stroke = load_field(), scrape(SECONDS)
     with counted_states() as states:
-        synthesis.prepare(field, stroke, seed=SEED)
+        prepared.prepare(field, stroke, seed=SEED)
+    assert sum(states) == len(stroke.action.speed)
+
+
+def test_in_numpy_a_state_is_evaluated_once_and_those_before_a_portion_again():
+    field, stroke = load_field(), scrape(SECONDS)
+    with counted_states() as states, plainly():
+        prepared.prepare(field, stroke, seed=SEED)
     count = len(stroke.action.speed)
-    groups = -(-count // synthesis.STATES_AT_ONCE)
+    groups = -(-count // prepared.STATES_AT_ONCE)
     assert len(states) == groups
-    assert sum(states) == count + (groups - 1) * synthesis.memory(field)
+    assert sum(states) == count + (groups - 1) * prepared.memory(field)
 
 
 @pytest.mark.parametrize("tolerance", [None, 0.01])
@@ -72,14 +81,14 @@ def test_no_state_is_evaluated_far_from_contact(tolerance, touching_s):
     """But for the portion in which the hand lifts, and nothing changes for what is felt."""
     field, stroke = load_field(), scrape(SECONDS, touching_s)
     with counted_states() as states:
-        prepared = synthesis.prepare(field, stroke, seed=SEED, tolerance=tolerance)
+        made = prepared.prepare(field, stroke, seed=SEED, tolerance=tolerance)
     heard = max(touching_s, 0.0) * ACTION_RATE_HZ
     if tolerance is None:
-        assert sum(states) <= heard + 2 * synthesis.STATES_AT_ONCE + len(states) * synthesis.memory(field)
+        assert sum(states) <= heard + 2 * prepared.STATES_AT_ONCE + len(states) * prepared.memory(field)
     else:
-        assert sum(states) <= (heard + 2 * synthesis.memory(field)) * SAMPLES_PER_STATE / FINEST / 4
+        assert sum(states) <= (heard + 2 * prepared.memory(field)) * SAMPLES_PER_STATE / FINEST / 4
     assert (sum(states) > 0) == (touching_s > 0.0)
-    assert prepared.amplitude.any() == (touching_s > 0.0)
+    assert made.amplitude.any() == (touching_s > 0.0)
 
 
 @pytest.mark.parametrize("profile", [False, True])
@@ -88,7 +97,7 @@ def test_what_is_left_out_in_the_air_would_have_been_nothing(monkeypatch, profil
     if profile:
         stroke = replace(stroke, profile=HeightProfile(1e-4, -1e-3, 1e-6 * np.sin(np.arange(9000) / 3.0), 4e-4))
     short = synthesis.synthesise(field, stroke, seed=SEED).signal.samples
-    monkeypatch.setattr(synthesis, "in_the_air", lambda condition, states: False)
+    monkeypatch.setattr(prepared, "in_the_air", lambda condition, states: False)
     with counted_states() as evaluated:
         whole = synthesis.synthesise(field, stroke, seed=SEED).signal.samples
     assert sum(evaluated) >= len(stroke.action.speed)

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from live_strokes import BLOCK, SEED, error, hand, on
 
+from hnf_core.field.blocks import contact_term
 from hnf_core.field.carriers import Carriers
 from hnf_core.field.config import FieldConfig
 from hnf_core.field.contact_filter import TAIL
@@ -18,7 +19,7 @@ from hnf_core.field.live.emission import LiveEmission
 from hnf_core.field.live.linear_contact import LiveLinear, TimeShare
 from hnf_core.field.live.pressing import LivePressing, causal_response
 from hnf_core.field.live.time_noise import KEPT_BLOCKS, LiveNoise
-from hnf_core.field.synthesis import contact_term, prepare
+from hnf_core.field.prepared import prepare
 from hnf_core.field.weights import load_field
 from hnf_core.kernel.library import plainly
 from hnf_core.material.contact import force_response

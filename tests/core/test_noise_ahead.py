@@ -15,11 +15,13 @@ from hnf_core.action.primitive_path import primitive_action
 from hnf_core.action.primitives import PRIMITIVES
 from hnf_core.bench.synth import forget_carriers, ten_seconds
 from hnf_core.field import noise_ahead as ahead
+from hnf_core.field.blocks import rendered
 from hnf_core.field.config import FieldConfig
 from hnf_core.field.hops import arc_hop, time_hop
 from hnf_core.field.noise_ahead import MOST_ARC_HOPS, MOST_TIME_HOPS, noise_ahead
+from hnf_core.field.prepared import prepare
 from hnf_core.field.stroke import StrokeInput, uniform_stroke
-from hnf_core.field.synthesis import prepare, rendered, synthesised
+from hnf_core.field.synthesis import synthesised
 from hnf_core.field.timeline import states_of
 from hnf_core.field.weights import load_field
 from hnf_core.kernel.library import kernel, plainly, why_not

@@ -9,13 +9,15 @@ import pytest
 
 from hnf_core.action.smooth import steady_action, wandering_action
 from hnf_core.field import resampling
+from hnf_core.field.blocks import render_block, texture_term
 from hnf_core.field.config import FieldConfig
 from hnf_core.field.field import Field, initial_parameters
 from hnf_core.field.hops import KEPT_TIME_HOPS
+from hnf_core.field.prepared import Prepared, prepare
 from hnf_core.field.reference import texture_reference
 from hnf_core.field.resampling import resample
 from hnf_core.field.stroke import HeightProfile, uniform_stroke
-from hnf_core.field.synthesis import Prepared, prepare, render_block, synthesise, texture_term
+from hnf_core.field.synthesis import synthesise
 from hnf_core.field.timeline import SAMPLES_PER_STATE, sample_count
 from hnf_core.material.mechanics import Mechanics
 from hnf_core.material.token import TOKEN_DIM

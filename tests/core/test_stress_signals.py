@@ -20,13 +20,15 @@ from hnf_core.export.formats import FORMATS
 from hnf_core.export.options import ExportOptions, ImportOptions
 from hnf_core.export.wav import read_wav, write_wav, write_wav_stream
 from hnf_core.field.audible import blocks_of
+from hnf_core.field.blocks import render_block
 from hnf_core.field.carriers import MODEL_RATE_HZ, Carriers
 from hnf_core.field.config import FieldConfig
 from hnf_core.field.field import Field, initial_parameters
 from hnf_core.field.long_stroke import STEP, portions
+from hnf_core.field.prepared import prepare
 from hnf_core.field.resampling import conversion, resample, resample_stream
 from hnf_core.field.stroke import HeightProfile, StrokeInput, uniform_stroke
-from hnf_core.field.synthesis import prepare, render_block, synthesise
+from hnf_core.field.synthesis import synthesise
 from hnf_core.material.mechanics import Mechanics
 from hnf_core.material.token import TOKEN_DIM
 from hnf_core.signal import Signal

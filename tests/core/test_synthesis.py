@@ -10,12 +10,14 @@ from hypothesis import strategies as st
 
 from hnf_core.action.action import ACTION_RATE_HZ, Action
 from hnf_core.errors import StrokeError, UsageError
+from hnf_core.field.blocks import render_block, texture_term
 from hnf_core.field.carriers import Carriers
 from hnf_core.field.config import FieldConfig
 from hnf_core.field.field import Field, initial_parameters
+from hnf_core.field.prepared import prepare
 from hnf_core.field.reference import synthesise_reference
 from hnf_core.field.stroke import HeightProfile, StrokeInput, uniform_stroke
-from hnf_core.field.synthesis import prepare, render_block, synthesise, texture_term
+from hnf_core.field.synthesis import synthesise
 from hnf_core.field.timeline import SAMPLES_PER_STATE, cubic, cubic_samples
 from hnf_core.field.weights import load_field
 from hnf_core.material.mechanics import Mechanics
