@@ -6,17 +6,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..field.adaptive import Evaluate, Sampled
+from ..field.adaptive import AT_ONCE, Sampled, Sampling
 from ..field.blocks import rendered
+from ..field.emissions import answered
 from ..field.field import Field
 from ..field.noise_ahead import noise_ahead
-from ..field.prepared import prepare_within
+from ..field.prepared import preparing_within
 from ..field.stroke import StrokeInput
 from ..field.timeline import states_of
 
 Float = NDArray[np.float64]
-
-AT_ONCE = 512
 
 
 def at_every_sample(field: Field, stroke: StrokeInput, seed: int) -> Float:
@@ -24,13 +23,16 @@ def at_every_sample(field: Field, stroke: StrokeInput, seed: int) -> Float:
     other way, and drawn as early."""
     action, token_index = states_of(stroke)
     with noise_ahead(field.config, seed, action):
-        prepared = prepare_within(field, stroke, seed, action, token_index, 0.0, sample=_each)
+        asking = preparing_within(field, stroke, seed, action, token_index, 0.0, sampler=_each)
+        prepared = answered(field, asking)
     return rendered(prepared)
 
 
-def _each(evaluate: Evaluate, count: int, _tolerance: float, _breakpoints: NDArray[np.int64]) -> Sampled:
-    """As adaptive.sample_emission, and nothing is left out."""
-    at = np.arange(count + 1)
-    parts = [evaluate(at[start : start + AT_ONCE]) for start in range(0, len(at), AT_ONCE)]
-    alpha = np.concatenate([part.alpha[:, 0].astype(np.float32) for part in parts])
-    return Sampled(at, alpha, np.concatenate([part.sigma_dt for part in parts]), 0.0)
+def _each(count: int, _tolerance: float, _breakpoints: NDArray[np.int64]) -> Sampling:
+    """As adaptive.sampling, and nothing is left out."""
+    at, alpha, sigma_dt = np.arange(count + 1), [], []
+    for start in range(0, len(at), AT_ONCE):
+        emission = yield at[start : start + AT_ONCE]
+        alpha.append(emission.alpha[:, 0].astype(np.float32))
+        sigma_dt.append(emission.sigma_dt)
+    return Sampled(at, np.concatenate(alpha), np.concatenate(sigma_dt), 0.0)

@@ -8,7 +8,7 @@ within the tolerance. The reference evaluates every sample.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,8 +25,6 @@ from .timeline import SAMPLES_PER_STATE
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Samples = NDArray[np.int64]
-Evaluate = Callable[[Samples], Emission]
-"""Samples of the model rate (m,) → what is emitted there."""
 
 COARSEST, FINEST = 800, 2
 """Samples between evaluations at most and at least: 80 ms, and 0.2 ms."""
@@ -64,8 +62,10 @@ class Sampled:
         return row, np.clip((sample - begin) / (self.at[row + 1] - begin), 0.0, 1.0)
 
 
-Sampler = Callable[[Evaluate, int, float, Samples], Sampled]
-"""As sample_emission: emissions, the samples of the stroke, the tolerance, the breakpoints → where it was evaluated."""
+Sampling = Generator[Samples, Emission, Sampled]
+"""Yields samples of the model rate (m,), is sent what is emitted there, and returns all of it."""
+Sampler = Callable[[int, float, Samples], Sampling]
+"""As sampling: the samples of the stroke, the tolerance, the breakpoints."""
 
 
 def between(values: Float32, row: Samples, share: Float, factor: Float) -> Float32:
@@ -81,7 +81,7 @@ def between(values: Float32, row: Samples, share: Float, factor: Float) -> Float
     return out.astype(np.float32)
 
 
-def sample_emission(evaluate: Evaluate, count: int, tolerance: float, breakpoints: Samples | None = None) -> Sampled:
+def sampling(count: int, tolerance: float, breakpoints: Samples | None = None) -> Sampling:
     """Emissions over samples 0 … count of a field with one head.
 
     tolerance: root of the power that the straight lines miss over that of the stroke, 0 for as fine as FINEST.
@@ -91,9 +91,9 @@ def sample_emission(evaluate: Evaluate, count: int, tolerance: float, breakpoint
     grid = np.unique(np.concatenate([np.arange(0, count, COARSEST), known, [count]]))
     pending = np.stack([np.arange(len(grid) - 1), np.arange(1, len(grid))], axis=1)
     pending = pending[np.diff(grid) > FINEST]
-    asked, before = _Asked(evaluate), np.zeros(len(pending))
+    asked, before = _Asked(), np.zeros(len(pending))
     # Every middle of the grid is asked for whatever is found there, so all of it at once.
-    asked.ask(np.concatenate([grid, grid[pending].sum(axis=1) // 2]))
+    yield from asked.ask(np.concatenate([grid, grid[pending].sum(axis=1) // 2]))
     middle = slice(len(grid), asked.count)
     settled, power, claimed = np.zeros((0, 2), dtype=np.int64), np.zeros(0), np.zeros(0)
     while True:
@@ -116,15 +116,15 @@ def sample_emission(evaluate: Evaluate, count: int, tolerance: float, breakpoint
             return asked.sampled(missed)
         worst.sort()
         pending, before = settled[worst], power[worst]
-        middle = asked.ask(asked.middles(pending))
+        middle = yield from asked.ask(asked.middles(pending))
         settled, power, claimed = np.delete(settled, worst, axis=0), np.delete(power, worst), np.delete(claimed, worst)
 
 
 class _Asked:
     """Evaluations in the order in which they were asked for; an interval is the rows (p, 2) of its two ends."""
 
-    def __init__(self, evaluate: Evaluate) -> None:
-        self._evaluate, self.count = evaluate, 0
+    def __init__(self) -> None:
+        self.count = 0
         self._at = np.zeros(0, dtype=np.int64)
         self._alpha = np.zeros((0, 0), dtype=np.float32)
         self._sigma_dt, self._power = np.zeros((0, 0)), np.zeros(0)
@@ -160,12 +160,12 @@ class _Asked:
         order = np.argsort(self._at[: self.count])
         return Sampled(self._at[order], self._alpha[order], self._sigma_dt[order], missed)
 
-    def ask(self, at: Samples) -> slice:
-        """The rows of what is evaluated at these samples."""
+    def ask(self, at: Samples) -> Generator[Samples, Emission, slice]:
+        """The rows of what is emitted at these samples."""
         begin = self.count
         for low in range(0, len(at), AT_ONCE):
             asked = at[low : low + AT_ONCE]
-            emission, rows = self._evaluate(asked), slice(self.count, self.count + len(asked))
+            emission, rows = (yield asked), slice(self.count, self.count + len(asked))
             alpha = emission.alpha[:, 0].astype(np.float32)
             self._at, self._power = _with(self._at, rows, asked), _with(self._power, rows, _squares(alpha))
             self._alpha = _with(self._alpha, rows, alpha)

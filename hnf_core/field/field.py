@@ -79,6 +79,10 @@ class Emission:
     def of(self, rows: slice) -> Emission:
         return Emission(self.alpha[rows], self.sigma_dt[rows])
 
+    def take(self, rows: NDArray[np.bool_], given: Emission) -> None:
+        """In these rows, what is given of them."""
+        self.alpha[rows], self.sigma_dt[rows] = given.alpha, given.sigma_dt
+
 
 def kernel_for(model: Field) -> CDLL | None:
     """The kernel, where it knows fields of this form: then what a state gives is the same to the last bit whatever

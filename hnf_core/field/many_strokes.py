@@ -7,20 +7,25 @@ from contextlib import nullcontext
 
 from .blocks import rendered
 from .carriers import MODEL_RATE_HZ
-from .emissions import emissions
+from .emissions import answered_together
 from .field import Field, kernel_for
 from .noise_ahead import noise_ahead
-from .prepared import asked_for, prepare
+from .prepared import preparing
 from .stroke import StrokeInput, Synthesis
-from .synthesis import synthesise, to_synthesis
-from .timeline import condition_of, states_of
+from .synthesis import synthesise, told
+from .timeline import states_of
 
 STATES_TOGETHER = 4096
 """Of the strokes that are asked about at once, where one alone does not have more: 10 MB on the way."""
 
 
 def synthesise_many(
-    field: Field, strokes: Sequence[StrokeInput], *, seeds: Sequence[int], sample_rate: float = MODEL_RATE_HZ
+    field: Field,
+    strokes: Sequence[StrokeInput],
+    *,
+    seeds: Sequence[int],
+    sample_rate: float = MODEL_RATE_HZ,
+    tolerance: float | None = None,
 ) -> Iterator[Synthesis]:
     """synthesise() of each stroke with its seed, in their order and to the last bit.
 
@@ -30,28 +35,28 @@ def synthesise_many(
         raise ValueError(f"{len(strokes)} strokes with {len(seeds)} seeds")
     if kernel_for(field) is None:  # numpy's bytes depend on what is asked for at once
         return (
-            synthesise(field, stroke, seed=seed, sample_rate=sample_rate)
+            synthesise(field, stroke, seed=seed, sample_rate=sample_rate, tolerance=tolerance)
             for stroke, seed in zip(strokes, seeds, strict=True)
         )
-    return _in_batches(field, strokes, seeds, sample_rate)
+    return _in_batches(field, strokes, seeds, sample_rate, tolerance)
 
 
 def _in_batches(
-    field: Field, strokes: Sequence[StrokeInput], seeds: Sequence[int], sample_rate: float
+    field: Field, strokes: Sequence[StrokeInput], seeds: Sequence[int], sample_rate: float, tolerance: float | None
 ) -> Iterator[Synthesis]:
     for some in _together(strokes):
         group, drawn_from = strokes[some], seeds[some]
-        states = [states_of(stroke) for stroke in group]
-        conditions = [condition_of(stroke, *each) for stroke, each in zip(group, states, strict=True)]
-        with noise_ahead(field.config, drawn_from[0], states[0][0]):
-            given = emissions(field, conditions, [asked_for(field, each) for each in conditions])
-        for at, (stroke, emitted) in enumerate(zip(group, given, strict=True)):
-            following = min(at + 1, len(group) - 1)
-            draws = drawn_from[following] != drawn_from[at]
-            with noise_ahead(field.config, drawn_from[following], states[following][0]) if draws else nullcontext():
-                prepared = prepare(field, stroke, seed=drawn_from[at], emitted=emitted)
-                samples = rendered(prepared)
-            yield to_synthesis(field, stroke, prepared, samples, sample_rate)
+        asking = [
+            preparing(field, stroke, seed=seed, tolerance=tolerance)
+            for stroke, seed in zip(group, drawn_from, strict=True)
+        ]
+        with noise_ahead(field.config, drawn_from[0], states_of(group[0])[0]):
+            prepared = answered_together(field, asking)
+        for stroke, one, following in zip(group, prepared, [*prepared[1:], prepared[-1]], strict=True):
+            draws = following.seed != one.seed
+            with noise_ahead(field.config, following.seed, following.action) if draws else nullcontext():
+                samples = rendered(one)
+            yield told(field, stroke, one, samples, sample_rate, tolerance)
 
 
 def _together(strokes: Sequence[StrokeInput]) -> Iterator[slice]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from ..action.action import Action
 from ..material.contact import tip_response
 from ..material.probe import PROBES
-from .adaptive import Sampler, accumulated, sample_emission
+from .adaptive import Sampled, Sampler, Sampling, accumulated, sampling
 from .audible import audible_gain
 from .breakpoints import breakpoints_of
 from .carriers import Carriers
 from .contact_filter import FilterBank, filter_bank
-from .emissions import emissions
+from .emissions import Asking, Evaluate, answered
 from .field import Emission, Field, accumulate, evaluate, kernel_for
 from .linear_contact import BAND_END_HZ, FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition, upper_fade
 from .profile import ProfileBands, share_power, split_profile
@@ -33,7 +33,6 @@ from .timeline import (
 )
 
 Float = NDArray[np.float64]
-Evaluate = Callable[[Field, Condition], Emission]
 
 STATES_AT_ONCE = 128
 """Action states in a portion: F_Θ is asked about one after the other. In numpy results depend on how many are asked for
@@ -80,19 +79,24 @@ def prepare(
     earlier: Prepared | None = None,
     tolerance: float | None = None,
     emission: Evaluate = evaluate,
-    emitted: Emission | None = None,
 ) -> Prepared:
+    """preparing(), answered. emission: what stands for F_Θ, a table."""
+    return answered(field, preparing(field, stroke, seed=seed, earlier=earlier, tolerance=tolerance), emission)
+
+
+def preparing(
+    field: Field, stroke: StrokeInput, *, seed: int, earlier: Prepared | None = None, tolerance: float | None = None
+) -> Asking[Prepared]:
     """Everything at the action rate: F_Θ, its accumulation over past states, and the profile's share.
 
     earlier: of a stroke that differs from this one in force and contact alone; only portions of states in which they
     differ are evaluated, and the result is the same. tolerance: F_Θ is evaluated where the action asks for it, until
     the amplitudes of the whole stroke are within it of their power (root; see adaptive), in place of at every state;
-    it has no say where a profile shares in the power or heads lag. emission: what stands for F_Θ, a table.
-    emitted: what F_Θ gives at the states that asked_for() names, where that is known already.
+    it has no say where a profile shares in the power or heads lag.
     """
     action, token_index = states_of(stroke)
     if tolerance is not None and adapts(field, stroke):
-        return prepare_within(field, stroke, seed, action, token_index, tolerance, emission)
+        return (yield from preparing_within(field, stroke, seed, action, token_index, tolerance))
     condition = condition_of(stroke, action, token_index)
     carriers, count = field.config.carriers, len(action.speed)
     bands = None
@@ -106,8 +110,9 @@ def prepare(
     else:
         amplitude, loudest = earlier.amplitude.copy(), earlier.loudest.copy()
         unheld = None if earlier.unheld is None else earlier.unheld.copy()
-    if emitted is None and earlier is None and kernel_for(field) is not None:
-        (emitted,) = emissions(field, [condition], [asked_for(field, condition)], emission)
+    emitted = None
+    if earlier is None and kernel_for(field) is not None:  # of any number of states what it is of a portion
+        emitted = yield from _felt(field, condition)
     for portion, (rows, felt) in enumerate(portions(field, count)):
         if earlier is not None and not _differ(action, earlier.action, felt):
             continue
@@ -116,7 +121,7 @@ def prepare(
             if unheld is not None:
                 unheld[rows] = 0.0
             continue
-        given = emission(field, states_in(condition, felt)) if emitted is None else emitted.of(felt)
+        given = (yield states_in(condition, felt)) if emitted is None else emitted.of(felt)
         amplitude[rows], height, loudest[portion] = _amplitudes(field, condition, given, bands, reading[rows], rows)
         if unheld is not None and height is not None:
             unheld[rows] = height
@@ -142,12 +147,22 @@ def portions(field: Field, count: int) -> Iterator[tuple[slice, slice]]:
         yield slice(start, stop), slice(max(start - memory(field), 0), stop)
 
 
-def asked_for(field: Field, condition: Condition) -> NDArray[np.bool_]:
-    """(n,) whether F_Θ has to be asked about a state."""
+def _felt(field: Field, condition: Condition) -> Asking[Emission]:
+    """At all states, each asked about once; nothing where nobody will use it."""
     wanted = np.zeros(len(condition.speed), dtype=bool)
     for _, felt in portions(field, len(wanted)):
         wanted[felt] |= not in_the_air(condition, felt)
-    return wanted
+    if wanted.all():
+        return (yield condition)
+    emitted = _nothing(field, len(wanted))
+    if wanted.any():
+        emitted.take(wanted, (yield states_in(condition, wanted)))
+    return emitted
+
+
+def _nothing(field: Field, count: int) -> Emission:
+    config = field.config
+    return Emission(np.zeros((count, config.alpha_heads, config.carriers.count)), np.zeros((count, config.states)))
 
 
 def in_the_air(condition: Condition, states: slice) -> bool:
@@ -161,32 +176,19 @@ def adapts(field: Field, stroke: StrokeInput) -> bool:
     return field.config.accumulation == "past" and not shared
 
 
-def prepare_within(
+def preparing_within(
     field: Field,
     stroke: StrokeInput,
     seed: int,
     action: Action,
     token_index: NDArray[np.int32],
     tolerance: float,
-    emission: Evaluate = evaluate,
-    sample: Sampler = sample_emission,
-) -> Prepared:
-    """prepare() with a tolerance, of what adapts(). sample: chooses where F_Θ is evaluated."""
-    carriers, config, count = field.config.carriers, field.config, sample_count(action)
-    felt = _remembered(action.contact, memory(field))
-
-    def emit(at: NDArray[np.int64]) -> Emission:
-        """Nothing in the air, but for what remembers the contact or interpolates towards it."""
-        rows = felt[np.minimum(at // SAMPLES_PER_STATE, len(felt) - 1)]
-        if rows.all():
-            return emission(field, condition_at(stroke, action, token_index, at))
-        alpha, sigma_dt = np.zeros((len(at), 1, carriers.count)), np.zeros((len(at), config.states))
-        if rows.any():
-            found = emission(field, condition_at(stroke, action, token_index, at[rows]))
-            alpha[rows], sigma_dt[rows] = found.alpha, found.sigma_dt
-        return Emission(alpha, sigma_dt)
-
-    sampled = sample(emit, count, tolerance, breakpoints_of(action, token_index))
+    sampler: Sampler = sampling,
+) -> Asking[Prepared]:
+    """preparing() with a tolerance, of what adapts(). sampler: chooses where F_Θ is evaluated."""
+    carriers, count = field.config.carriers, sample_count(action)
+    wanted = sampler(count, tolerance, breakpoints_of(action, token_index))
+    sampled = yield from _felt_samples(field, stroke, action, token_index, wanted)
     knots, amplitude = accumulated(field.config, sampled, count)
     if carriers.arc_count:
         pace, state = fastest(action), knots // SAMPLES_PER_STATE
@@ -200,6 +202,27 @@ def prepare_within(
         carriers, seed, action, amplitude[:, None, :], bank, pressed, audible_gain(action.contact, count),
         loudest=loudest, knots=knots, missed=sampled.missed,
     )  # fmt: skip
+
+
+def _felt_samples(
+    field: Field, stroke: StrokeInput, action: Action, token_index: NDArray[np.int32], wanted: Sampling
+) -> Asking[Sampled]:
+    """Nothing in the air, but for what remembers the contact or interpolates towards it."""
+    felt = _remembered(action.contact, memory(field))
+    try:
+        at = next(wanted)
+        while True:
+            rows = felt[np.minimum(at // SAMPLES_PER_STATE, len(felt) - 1)]
+            if rows.all():
+                emitted = yield condition_at(stroke, action, token_index, at)
+            else:
+                emitted = _nothing(field, len(at))
+                if rows.any():
+                    emitted.take(rows, (yield condition_at(stroke, action, token_index, at[rows])))
+            at = wanted.send(emitted)
+    except StopIteration as done:
+        sampled: Sampled = done.value
+        return sampled
 
 
 def _remembered(contact: NDArray[np.bool_], states: int) -> NDArray[np.bool_]:

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from ..signal import Signal
 from .blocks import rendered
 from .carriers import MODEL_RATE_HZ
+from .emissions import Evaluate
 from .extrapolation import at_ceiling, examine
 from .field import Field, evaluate
 from .noise_ahead import noise_ahead
-from .prepared import Evaluate, Prepared, prepare
+from .prepared import Prepared, prepare
 from .resampling import resample
 from .stroke import StrokeInput, Synthesis
 from .timeline import states_of
@@ -39,8 +40,15 @@ def synthesise(
     not positive. What lies outside the field's training ranges is synthesised as it is, and named in warnings.
     """
     prepared, samples = synthesised(field, stroke, seed, tolerance)
-    told = to_synthesis(field, stroke, prepared, samples, sample_rate)
-    return replace(told, warnings=(*told.warnings, *fallen_short(prepared.missed, tolerance)))
+    return told(field, stroke, prepared, samples, sample_rate, tolerance)
+
+
+def told(
+    field: Field, stroke: StrokeInput, prepared: Prepared, samples: Float, sample_rate: float, tolerance: float | None
+) -> Synthesis:
+    """to_synthesis(), and whether the tolerance was kept."""
+    made = to_synthesis(field, stroke, prepared, samples, sample_rate)
+    return replace(made, warnings=(*made.warnings, *fallen_short(prepared.missed, tolerance)))
 
 
 def fallen_short(missed: float, tolerance: float | None) -> tuple[str, ...]:

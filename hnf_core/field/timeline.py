@@ -94,7 +94,7 @@ def condition_at(
     return Condition(tokens, mechanics, of_row[material], direction, speed, force, contact, action.probe)
 
 
-def states_in(condition: Condition, rows: slice) -> Condition:
+def states_in(condition: Condition, rows: slice | NDArray[np.bool_]) -> Condition:
     """The states in rows alone."""
     names = ("tokens", "material", "direction", "speed", "force", "contact")
     return replace(condition, **{name: getattr(condition, name)[rows] for name in names})

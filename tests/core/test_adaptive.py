@@ -12,10 +12,11 @@ from hnf_core.action.primitive_path import primitive_action
 from hnf_core.action.primitives import PRIMITIVES
 from hnf_core.bench.synth_sampled import at_every_sample
 from hnf_core.field import adaptive
-from hnf_core.field.adaptive import COARSEST, FINEST, MOST, between, sample_emission
+from hnf_core.field.adaptive import COARSEST, FINEST, MOST, between, sampling
 from hnf_core.field.blocks import render_block, rendered, texture_term
+from hnf_core.field.emissions import answered, answered_by
 from hnf_core.field.field import Emission, evaluate
-from hnf_core.field.prepared import prepare, prepare_within
+from hnf_core.field.prepared import prepare, preparing_within
 from hnf_core.field.reference import synthesise_reference
 from hnf_core.field.stroke import HeightProfile, uniform_stroke
 from hnf_core.field.synthesis import synthesise
@@ -49,6 +50,10 @@ def alpha_at(sampled, at):
     """(n, K) at any samples (n,)."""
     row, share = sampled.place(at[:, None])
     return between(sampled.alpha, row, share, np.ones(row.shape))
+
+
+def sample_emission(evaluate, count, tolerance):
+    return answered_by(evaluate, sampling(count, tolerance))
 
 
 def missed(sampled, function, count) -> float:
@@ -221,12 +226,13 @@ def test_where_the_field_is_evaluated_can_be_told():
     """The bench's literal model asks at every sample so; what it hears is what a fine tolerance gives."""
     stroke, asked = uniform_stroke(steady(0.5), rough_token(), WOOD), []
 
-    def finest(emission, count, tolerance, breakpoints):
+    def finest(count, tolerance, breakpoints):
         asked.append((count, tolerance))
-        return sample_emission(emission, count, 0.0, breakpoints)
+        return sampling(count, 0.0, breakpoints)
 
     action, token_index = states_of(stroke)
-    told = prepare_within(linear_field(), stroke, 1, action, token_index, 0.03, sample=finest)
+    asking = preparing_within(linear_field(), stroke, 1, action, token_index, 0.03, sampler=finest)
+    told = answered(linear_field(), asking)
     assert asked == [(sample_count(action), 0.03)]
     assert np.array_equal(told.knots, prepare(linear_field(), stroke, seed=1, tolerance=0.0).knots)
     every, fine = at_every_sample(linear_field(), stroke, 1), rendered(told)

@@ -62,13 +62,17 @@ def alike(one, other) -> bool:
 
 
 @settings(max_examples=25, deadline=None)
-@given(st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 3)), max_size=6), st.sampled_from([10000.0, 44100.0]))
-def test_each_is_what_it_is_alone(drawn_from, rate):
+@given(
+    st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 3)), max_size=6), st.sampled_from([10000.0, 44100.0]),
+    st.sampled_from([None, None, 0.03, 0.003]),
+)  # fmt: skip
+def test_each_is_what_it_is_alone(drawn_from, rate, tolerance):
     strokes, seeds = [drawn(seed) for seed, _ in drawn_from], [seed for _, seed in drawn_from]
-    found = list(synthesise_many(FIELD, strokes, seeds=seeds, sample_rate=rate))
+    asked = {"sample_rate": rate, "tolerance": tolerance}
+    found = list(synthesise_many(FIELD, strokes, seeds=seeds, **asked))
     assert len(found) == len(strokes)
     for stroke, seed, one in zip(strokes, seeds, found, strict=True):
-        assert alike(one, synthesise(FIELD, stroke, seed=seed, sample_rate=rate))
+        assert alike(one, synthesise(FIELD, stroke, seed=seed, **asked))
 
 
 def test_each_is_what_it_is_alone_in_numpy_too():
@@ -93,6 +97,22 @@ def test_every_state_is_asked_about_once_and_many_at_a_time(monkeypatch, togethe
     assert sum(asked) == 40 * 60
     assert max(asked) <= 256
     assert len(asked) <= (11 if together > 2400 else 20), "40 strokes, and not 40 batches"
+
+
+@needs_kernel
+def test_strokes_that_choose_their_states_do_so_in_common_rounds():
+    strokes = [all_felt(drawn(seed, states=60), "pen") for seed in range(40)]
+    alone, rounds = [], []
+    for stroke in strokes:
+        with counted_states() as asked:
+            synthesise(FIELD, stroke, seed=1, tolerance=0.01)
+        alone.append(sum(asked))
+        rounds.append(len(asked))
+    with counted_states() as asked:
+        assert len(list(synthesise_many(FIELD, strokes, seeds=[1] * 40, tolerance=0.01))) == 40
+    assert sum(asked) == sum(alone)
+    assert len(asked) <= max(rounds) + sum(alone) // 256
+    assert len(asked) < 0.2 * sum(rounds)
 
 
 def test_what_is_never_touched_is_not_asked_about():
