@@ -135,29 +135,25 @@ def _in_numpy(model: Field, condition: Condition, answer: Answer) -> Emission:
     return Emission(alpha * inputs.gate[:, None, :], np.logaddexp(0.0, sigma.astype(np.float64)))
 
 
-def accumulate(config: FieldConfig, emission: Emission) -> Float:
-    """Amplitudes (n, heads, K) of the carriers at each state of an evenly sampled action.
+def accumulate(config: FieldConfig, emission: Emission, first: int = 0) -> Float:
+    """Amplitudes (n − first, heads, K) of the carriers at each state of an evenly sampled action, from `first` on.
 
-    "past": Σ_n w_n α(u_{i − n·stride}) with σ_n of that same past state, (n, 1, K); before the first sample nothing was
-    emitted. "heads": w_n α_n of each state, left apart because their carriers lag by n Δt.
+    "past": Σ_n w_n α(u_{i − n·stride}) with σ_n of that same past state, (…, 1, K); before the first sample nothing was
+    emitted, and σ was that of the first. "heads": w_n α_n of each state, left apart because their carriers lag by n Δt.
     """
     if config.accumulation == "heads":
-        return np.asarray(render_weights(emission.sigma_dt)[:, :, None] * emission.alpha)
-    alpha, sigma_dt = past_states(emission.alpha[:, 0], emission.sigma_dt, config.stride)
-    return np.asarray(np.einsum("in,ink->ik", render_weights(sigma_dt), alpha)[:, None, :])
-
-
-def past_states(alpha: Float, sigma_dt: Float, stride: int) -> tuple[Float, Float]:
-    """alpha (n, K), sigma_dt (n, N) → α(u_{i−jS}) (n, N, K) and σ_j(u_{i−jS}) (n, N), j = 0 … N − 1.
-
-    Before the first sample α is 0 and σ that of the first state.
-    """
-    count, states = sigma_dt.shape
-    source = np.arange(count)[:, None] - stride * np.arange(states)[None, :]
-    before = source < 0
-    source = np.maximum(source, 0)
-    emitted = np.where(before[..., None], 0.0, alpha[source])
-    return emitted, sigma_dt[source, np.arange(states)[None, :]]
+        return np.asarray(render_weights(emission.sigma_dt[first:])[:, :, None] * emission.alpha[first:])
+    alpha, lags = emission.alpha[:, 0], config.stride * np.arange(config.states)
+    before = np.maximum(np.arange(first, len(alpha))[:, None] - lags, 0)
+    weights = render_weights(emission.sigma_dt[before, np.arange(config.states)])
+    out = weights[:, :1] * alpha[first:]
+    room = np.empty_like(out)
+    for state, lag in enumerate(lags[1:], 1):
+        at = max(lag - first, 0)
+        if at < len(out):
+            remembered = np.multiply(weights[at:, state, None], alpha[first + at - lag : len(alpha) - lag], out=room[at:])
+            out[at:] += remembered
+    return np.asarray(out[:, None, :])
 
 
 def steady_amplitude(config: FieldConfig, emission: Emission) -> Float:

@@ -246,7 +246,7 @@ def _amplitudes(
     """Amplitudes of a portion of states, of the noise (m, heads, K) and of the profile (m, Ka), and the largest that
     the field gave. given: what it emits there and in its memory. reading: (m, Ka) Hz of the portion."""
     carriers = field.config.carriers
-    amplitude = accumulate(field.config, given)[rows.start - rows.stop :]
+    amplitude = accumulate(field.config, given, len(given.alpha) - (rows.stop - rows.start))
     loudest = float(np.max(np.abs(amplitude), initial=0.0))
     # The field's own gate answers to the speed of each state, but its memory is read at the speed of now.
     amplitude[:, :, carriers.arc_slice] *= (reading < BAND_END_HZ)[:, None, :]
