@@ -17,6 +17,12 @@ def _synth(options: Options) -> list[Row]:
     return rows(options)
 
 
+def _strokes(options: Options) -> list[Row]:
+    from .strokes import rows
+
+    return rows(options)
+
+
 def _maps(options: Options) -> list[Row]:
     from .maps import rows
 
@@ -62,6 +68,7 @@ def _startup(options: Options) -> list[Row]:
 BENCHES = (
     Bench("startup", "what a command costs from nothing, beside `import numpy`", _startup),
     Bench("synth", "ten seconds of stroke in every way there is, against the model taken literally", _synth),
+    Bench("strokes", "many strokes of 0.1 to 3 s in common batches, against each alone", _strokes),
     Bench("maps", "relief and picture until there is a token, in wide and narrow numbers", _maps),
     Bench(
         "splats", "splats until there is a picture, beside the naive way; what a crop costs (also of --scene)", _splats

@@ -90,7 +90,8 @@ class Row:
     """One method of one bench.
 
     seconds: that it took on the wall. cpu: of them, those the machine gave to us, which says more on a busy one.
-    ratio: to the row named ratio_to, measured in pairs, which leaves the machine's own pace out.
+    ratio: to the row named ratio_to, measured in pairs, which leaves the machine's own pace out; of CPU, where the note
+    says nothing else.
     error: against the reference, in error_unit, the largest that was met. peak_mb: allocated beyond what was there. A
     faster method has an error, if only 0; what None says is that the thing has no result to be wrong.
     realtime_factor: seconds of signal made in one second, where a signal is what is made. size: of what was measured,

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from ..errors import UsageError
 from ..field.adaptive import between
-from ..field.field import Emission, Field, evaluate
+from ..field.field import Emission, Field, evaluate, network_of
 from ..field.linear_contact import FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition
-from ..field.network import heads
 from ..material.mechanics import Mechanics
 from ..material.token import BAND_FEATURES, BAND_WAVELENGTHS_M
 
@@ -69,12 +68,13 @@ def tabulate(model: Field, token: Float32, mechanics: Mechanics, probe: str, gri
     speed, force = _axis(SPEEDS_M_S, grid.per_octave_speed), _axis(FORCES_N, grid.per_octave_force)
     angles = np.arange(count) * turn / count
     d, v, f = (each.ravel() for each in np.meshgrid(angles, speed, force, indexing="ij"))
+    asked = network_of(model)
     rows = np.empty((len(d), config.alpha_outputs + config.states), dtype=np.float32)
     for low in range(0, len(d), AT_ONCE):
         part = slice(low, low + AT_ONCE)
 
         def noted(x: Float32, part: slice = part) -> tuple[Float32, Float32]:
-            answers = heads(model.parameters, config.layers, x)
+            answers = asked(x)
             rows[part] = np.concatenate(answers, axis=1)
             return answers
 

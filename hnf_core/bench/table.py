@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from .frame import Row, Spread
 
 TIMES = ("median", "99 %", "longest", "CPU", "longest CPU", "times")
-HEADER = ("bench", "method", *TIMES, "ratio of CPU", "error", "peak MB", "")
-OPTIONAL_AT = HEADER.index("ratio of CPU")
+HEADER = ("bench", "method", *TIMES, "ratio", "error", "peak MB", "")
+OPTIONAL_AT = HEADER.index("ratio")
 
 
 def markdown(rows: Sequence[Row], machine: Mapping[str, str]) -> str:

@@ -90,12 +90,20 @@ def kernel_for(model: Field) -> CDLL | None:
     return kernel() if fits(model.config) and model.parameters["skip"].dtype == np.float32 else None
 
 
+def network_of(model: Field) -> Answer:
+    """F_Θ's layers and heads."""
+    compiled = kernel_for(model)
+    if compiled is None:
+        return partial(heads, model.parameters, model.config.layers)
+    return partial(model.layers.answers, compiled)
+
+
 def evaluate(model: Field, condition: Condition, answer: Answer | Answers | None = None) -> Emission:
     """F_Θ at each of n states, in float32 products (as the torch twin). answer: what stands for the network, or what it
     would have answered."""
     config, weights, compiled = model.config, model.parameters, kernel_for(model)
     if answer is None:
-        answer = partial(heads, weights, config.layers) if compiled is None else partial(model.layers.answers, compiled)
+        answer = network_of(model)
     if compiled is None:
         return _in_numpy(model, condition, answer if callable(answer) else lambda _: answer)
     emitter = emitter_of(config, weights["skip"].tobytes(), condition.probe, LOG_AMPLITUDE_CEILING)
@@ -151,8 +159,8 @@ def accumulate(config: FieldConfig, emission: Emission, first: int = 0) -> Float
     for state, lag in enumerate(lags[1:], 1):
         at = max(lag - first, 0)
         if at < len(out):
-            remembered = np.multiply(weights[at:, state, None], alpha[first + at - lag : len(alpha) - lag], out=room[at:])
-            out[at:] += remembered
+            past = alpha[first + at - lag : len(alpha) - lag]
+            out[at:] += np.multiply(weights[at:, state, None], past, out=room[at:])
     return np.asarray(out[:, None, :])
 
 
