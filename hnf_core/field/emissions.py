@@ -69,7 +69,7 @@ def emissions(field: Field, conditions: Sequence[Condition], emission: Evaluate 
                 end = begin + rows.stop - rows.start
                 parts[index].append(given.of(slice(begin, end)))
                 begin = end
-    return [each[0] if len(each) == 1 else _one_after_another(each) for each in parts]
+    return [each[0] if len(each) == 1 else one_after_another(each) for each in parts]
 
 
 def _batches(asked: Sequence[tuple[int, int]]) -> list[list[tuple[int, slice]]]:
@@ -102,5 +102,5 @@ def _joined(parts: Sequence[tuple[Condition, slice]]) -> Condition:
     return Condition(tokens, mechanics, of_state, direction, speed, force, contact, probe)
 
 
-def _one_after_another(parts: Sequence[Emission]) -> Emission:
+def one_after_another(parts: Sequence[Emission]) -> Emission:
     return Emission(np.concatenate([each.alpha for each in parts]), np.concatenate([each.sigma_dt for each in parts]))

@@ -17,7 +17,7 @@ from .audible import audible_gain
 from .breakpoints import breakpoints_of
 from .carriers import Carriers
 from .contact_filter import FilterBank, filter_bank
-from .emissions import Asking, Evaluate, answered
+from .emissions import AT_ONCE, Asking, Evaluate, answered, one_after_another
 from .field import Emission, Field, accumulate, evaluate, kernel_for
 from .linear_contact import BAND_END_HZ, FORCE_FLOOR_N, SPEED_FLOOR_M_S, Condition, upper_fade
 from .profile import ProfileBands, share_power, split_profile
@@ -110,9 +110,9 @@ def preparing(
     else:
         amplitude, loudest = earlier.amplitude.copy(), earlier.loudest.copy()
         unheld = None if earlier.unheld is None else earlier.unheld.copy()
-    emitted = None
+    known = None
     if earlier is None and kernel_for(field) is not None:  # of any number of states what it is of a portion
-        emitted = yield from _felt(field, condition)
+        known = _Known(field, condition)
     for portion, (rows, felt) in enumerate(portions(field, count)):
         if earlier is not None and not _differ(action, earlier.action, felt):
             continue
@@ -121,7 +121,7 @@ def preparing(
             if unheld is not None:
                 unheld[rows] = 0.0
             continue
-        given = (yield states_in(condition, felt)) if emitted is None else emitted.of(felt)
+        given = (yield states_in(condition, felt)) if known is None else (yield from known.of(felt))
         amplitude[rows], height, loudest[portion] = _amplitudes(field, condition, given, bands, reading[rows], rows)
         if unheld is not None and height is not None:
             unheld[rows] = height
@@ -147,17 +147,35 @@ def portions(field: Field, count: int) -> Iterator[tuple[slice, slice]]:
         yield slice(start, stop), slice(max(start - memory(field), 0), stop)
 
 
-def _felt(field: Field, condition: Condition) -> Asking[Emission]:
-    """At all states, each asked about once; nothing where nobody will use it."""
-    wanted = np.zeros(len(condition.speed), dtype=bool)
-    for _, felt in portions(field, len(wanted)):
-        wanted[felt] |= not in_the_air(condition, felt)
-    if wanted.all():
-        return (yield condition)
-    emitted = _nothing(field, len(wanted))
-    if wanted.any():
-        emitted.take(wanted, (yield states_in(condition, wanted)))
-    return emitted
+class _Known:
+    """F_Θ at the states of one portion after another, each asked about once, together with those of the next portions;
+    not at those that nobody will use."""
+
+    def __init__(self, field: Field, condition: Condition) -> None:
+        self._field, self._condition = field, condition
+        self._wanted = np.zeros(len(condition.speed), dtype=bool)
+        for _, felt in portions(field, len(self._wanted)):
+            self._wanted[felt] |= not in_the_air(condition, felt)
+        self._begin = self._end = 0
+        self._held = _nothing(field, 0)
+
+    def of(self, felt: slice) -> Asking[Emission]:
+        if felt.stop > self._end:
+            left = self._held.of(slice(max(felt.start - self._begin, 0), None))
+            begin = max(felt.start, self._end)
+            end = min(max(begin + AT_ONCE, felt.stop), len(self._wanted))
+            self._held = one_after_another([left, (yield from self._asked(slice(begin, end)))])
+            self._begin, self._end = felt.start, end
+        return self._held.of(slice(felt.start - self._begin, felt.stop - self._begin))
+
+    def _asked(self, rows: slice) -> Asking[Emission]:
+        wanted = self._wanted[rows]
+        part = states_in(self._condition, rows)
+        if wanted.all():
+            return (yield part)
+        emitted = _nothing(self._field, len(wanted))
+        emitted.take(wanted, (yield states_in(part, wanted)))
+        return emitted
 
 
 def _nothing(field: Field, count: int) -> Emission:
