@@ -21,7 +21,7 @@ static void *found(void *library, const char *name) { return dlsym(library, name
 
 enum { COUNT = 300, BANDS = 9, CELLS = 64, LENGTH = 512, WAVES = 6, WIDEST = 20, ARC = 192, TOKEN = 7, STATES = 7,
        ANGLES = 12, FEATURES = 7, HOP = 128, HOPS = 2, REACH = 8, EDGES = 9, FARTHEST = 121,
-       INPUTS = TOKEN * FEATURES + 2 + 4 + EDGES + 3, OUTPUTS = EDGES + 11 + 2 * 2 * TOKEN };
+       INPUTS = TOKEN * FEATURES + 2 + 4 + EDGES + 3, OUTPUTS = EDGES + 11 + 2 * 2 * TOKEN, PANEL = 32, ASKED = 17 };
 
 static uint64_t state = 88172645463325252u;
 
@@ -68,6 +68,8 @@ static uint8_t kept[COUNT];
 static double shift_of[TOKEN * FEATURES], scale_of[TOKEN * FEATURES], skip[EDGES + ARC], edge[EDGES + 1];
 static double knot_share[ARC], prior[STATES * (EDGES + ARC)], line[4 * STATES * TOKEN], alpha[STATES * (EDGES + ARC)];
 static float network[STATES * INPUTS], head[STATES * OUTPUTS];
+static float panels[4][20 * PANEL], biases[4][PANEL], asked[ASKED * 20], between_layers[2 * ASKED * 20];
+static float answers[2][ASKED * 11];
 static hnf_motion motion[STATES];
 static int64_t knot[ARC], row[COUNT], below[ARC], nearest[TOKEN], shift[ANGLES], low[2 * STATES * TOKEN], at[STATES];
 static hnf_touch touch[STATES];
@@ -173,10 +175,13 @@ int main(int given, char **words)
     fill(head, STATES * OUTPUTS);
     hnf_emitted_(&tables, &emitter, head, motion, &expected, STATES, room, alpha);
     say("emitted", alpha, STATES * (EDGES + ARC), 6);
-    const float *weights[4] = {waves, slow, cosine, sine}, *biases[4] = {share, share + 9, share + 3, share};
+    const float *given_panels[4] = {panels[0], panels[1], panels[2], panels[3]};
+    const float *given_biases[4] = {biases[0], biases[1], biases[2], biases[3]};
     int64_t widths[5] = {20, 19, 17, 11, 3};
-    hnf_layers_(weights, biases, widths, 2, amplitude, scratch, head, head + 11);
-    say_single("layers", head, 14);
+    fill(panels[0], 4 * 20 * PANEL), fill(biases[0], 4 * PANEL), fill(asked, ASKED * 20);
+    hnf_layers_(given_panels, given_biases, widths, 2, asked, ASKED, between_layers, answers[0], answers[1]);
+    say_single("layers, first head", answers[0], ASKED * 11);
+    say_single("layers, second head", answers[1], ASKED * 3);
     for (int i = 0; i < 10 * ARC; i++)
         table[i] = (float)uniform();
     for (int i = 0; i < STATES; i++)
