@@ -45,11 +45,10 @@ def beside(work: Callable[[], None]) -> Callable[[], None]:
 
 def in_parts(work: Callable[[int, int], None], count: int, least: int) -> None:
     """work(first, last) for all of 0 … count, in as many parts of `least` or more as there are cores, side by side.
-    Raises what the first of them raises, when all have ended."""
+    Raises what one of them raises, when all that were begun have ended."""
     parts = max(min(count // least, cores()), 1)
     edges = [part * count // parts for part in range(parts + 1)]
-    waits = [beside(partial(work, first, last)) for first, last in pairwise(edges[1:])]
-    with ExitStack() as ended:
-        for wait in reversed(waits):
-            ended.callback(wait)
+    with ExitStack() as ended:  # also where a thread cannot be begun: those before it write into what is ours
+        for first, last in pairwise(edges[1:]):
+            ended.callback(beside(partial(work, first, last)))
         work(0, edges[1])

@@ -40,6 +40,7 @@ def answered_by(answer: Callable[[Question], Answer], asking: Generator[Question
 
 
 def answered(field: Field, asking: Asking[T], emission: Evaluate = evaluate) -> T:
+    """What asking returns, answered with F_Θ or what stands for it."""
     return answered_by(lambda condition: emissions(field, [condition], emission)[0], asking)
 
 

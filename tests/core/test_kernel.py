@@ -6,7 +6,6 @@ import importlib.util
 import os
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import numpy as np
@@ -111,32 +110,6 @@ def test_a_stroke_rendered_on_two_cores_is_that_of_one(monkeypatch):
     monkeypatch.setattr(both_cores, "cores", lambda: 2)
     assert rendered(prepared).tobytes() == wanted.tobytes()
     assert rendered(prepared, 5000, 31_000).tobytes() == wanted[5000:31_000].tobytes()
-
-
-@pytest.mark.parametrize(
-    ("cores", "count", "threads"), [(1, 9, 1), (2, 9, 2), (2, 5, 1), (2, 0, 1), (3, 9, 3), (4, 9, 3), (3, 6, 2)]
-)
-def test_parts_are_all_of_it_and_tell_what_went_wrong(monkeypatch, cores, count, threads):
-    monkeypatch.setattr(both_cores, "cores", lambda: cores)
-    done, at_once = np.zeros(count), []
-    meeting = threading.Barrier(threads)
-
-    def work(low, high):
-        at_once.append(high - low)
-        done[low:high] += 1.0
-        meeting.wait(30.0)
-        if high == 9 and count == 9 and failing:
-            raise ValueError("the last part")
-
-    failing = False
-    both_cores.in_parts(work, count, 3)
-    assert (done == 1.0).all()
-    assert len(at_once) == threads
-    assert threads == 1 or min(at_once) >= 3
-    failing = True
-    if count == 9:
-        with pytest.raises(ValueError, match="last part"):
-            both_cores.in_parts(work, count, 3)
 
 
 @needs_kernel
